@@ -1,4 +1,4 @@
-"""The `trimtab` command: verbs found by name and imported only when run; errors are one line and a code."""
+"""The `trimtab` command. It imports only the verb that runs, and reports an error as one line and a code."""
 
 from __future__ import annotations
 
@@ -30,36 +30,36 @@ VERBS = (
     Verb(
         name="demo",
         module="demo",
-        help="Plan, fly, trace what is missing, plan again; one report at the end.",
+        help="Plan, fly, trace the missing effects and plan again, then write a report.",
     ),
-    Verb(name="plan", module="plan", help="Make a checked reference for a route."),
-    Verb(name="sitl", module="sitl", help="Play a simulated vehicle and its camera system at a port."),
+    Verb(name="plan", module="plan", help="Plan a reference for a route and check it."),
+    Verb(name="sitl", module="sitl", help="Simulate a vehicle and its camera system at a port."),
     Verb(name="upload", module="upload", help="Send a reference or feed-forward to a vehicle and commit it."),
     Verb(
         name="poses",
         module="poses",
-        help="Forward a camera system's poses for somebody else's ground station.",
+        help="Forward a camera system's poses while another ground station flies.",
     ),
-    Verb(name="download", module="download", help="Read what is on board of a vehicle back into a file."),
+    Verb(name="download", module="download", help="Download a reference or feed-forward from a vehicle."),
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
-    Verb(name="learn", module="learn", help="Train a residual model on flight logs."),
-    Verb(name="trace", module="trace", help="Name the missing effects behind flight logs."),
-    Verb(name="import", module="import_", help="Turn somebody else's flight log into one of ours."),
-    Verb(name="log", module="log", help="Look into a flight log, recover or export it."),
-    Verb(name="study", module="study", help="Run a study over many sealed worlds."),
+    Verb(name="learn", module="learn", help="Learn effects and a residual network from flight logs."),
+    Verb(name="trace", module="trace", help="Name the effects that a model lacks, from flight logs."),
+    Verb(name="import", module="import_", help="Convert a foreign flight log to a Trimtab log."),
+    Verb(name="log", module="log", help="Describe, recover or export a flight log."),
+    Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
 )
 
 
 def _version() -> str:
-    """Trimtab's version, as installed."""
+    """Return the installed version of Trimtab."""
     from trimtab.host.base.artefacts import version
 
     return version()
 
 
 def build_app() -> App:
-    """Return the cyclopts application; no verb's module is imported."""
+    """Return the cyclopts application, without importing any verb's module."""
     from cyclopts import App, Parameter
 
     app = App(
@@ -77,14 +77,14 @@ def build_app() -> App:
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Return the exit code of one run. Errors are one line each on stderr; for a bug it names a file.
+    """Run the command line and return its exit code. Print an error as one line on stderr.
 
-    Without `argv` it is the process's: what is slow is imported where Ctrl-C is one line already, and once
-    the run has ended Ctrl-C is ignored.
+    For a bug, the line names a file with the traceback. Without `argv`, the run is that of the process:
+    Ctrl-C is reported in one line even during slow imports, and is ignored once the run has ended.
     """
-    own = argv is None
+    is_process = argv is None
     words = list(sys.argv[1:] if argv is None else argv)
-    # Thousands of small matrices: threads cost more than they bring, and sums would depend on their number.
+    # For thousands of small matrices, threads are slower, and sums would depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     try:
         output.prepare()
@@ -92,38 +92,38 @@ def main(argv: Sequence[str] | None = None) -> int:
         sys.stdout.flush()
         return code
     except KeyboardInterrupt as error:
-        if own:
+        if is_process:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
         return _fail(words, "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED)
     except BrokenPipeError:
-        # Whoever read our output has gone, as in `trimtab ls | head`: leave quietly.
+        # The reader of our output has closed it, as in `trimtab log info X | head`.
         _silence_stdout()
         return 0
     except TrimtabError as error:
         return _fail(words, str(error) or type(error).__name__, error.exit_code, error.details)
     except Exception as error:
         if isinstance(error, OSError) and error.filename is not None:
-            return _fail(words, f"{error.filename}: {error.strerror}, check the file and its folder", 2)
+            return _fail(words, f"{error.filename}: {error.strerror}; check the file and its folder", 2)
         from trimtab.host.base.artefacts import NO_ROOM
 
         if isinstance(error, OSError) and error.errno in NO_ROOM:
-            return _fail(words, f"nothing more can be written: {error.strerror}, make room", 2)
+            return _fail(words, f"nothing more can be written: {error.strerror}; free disk space", 2)
         saved = _save_traceback(words)
-        what = f"{type(error).__name__}: {error}".splitlines()[0]
-        return _fail(words, f"a bug of ours: {what}; its traceback is in {saved}, please report it", BUG)
+        summary = f"{type(error).__name__}: {error}".splitlines()[0]
+        return _fail(words, f"a bug in trimtab: {summary}; please report it with {saved}", BUG)
     finally:
-        if own:
+        if is_process:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 
 
 def _run(words: list[str]) -> int:
-    """Return the exit code of the verb that `words` name."""
+    """Run the verb that `words` name and return its exit code."""
     from cyclopts import CycloptsError
 
     try:
         result = build_app()(words, exit_on_error=False, print_error=False)
     except SystemExit as end:
-        if isinstance(end.__context__, BrokenPipeError):  # the help's reader has gone
+        if isinstance(end.__context__, BrokenPipeError):  # the reader of the help text has closed it
             return 0
         raise
     except CycloptsError as error:
@@ -133,31 +133,31 @@ def _run(words: list[str]) -> int:
 
 
 def _verb_of(words: Sequence[str]) -> str:
-    """Return the verb in `words` with a blank behind it, or nothing."""
+    """Return the verb in `words` followed by a space, or an empty string."""
     known = {verb.name for verb in VERBS}
     return f"{words[0]} " if words and words[0] in known else ""
 
 
 def _fail(words: Sequence[str], message: str, code: int, details: Mapping[str, Any] | None = None) -> int:
-    """Return `code` after the message went to stderr and, with `--json`, with `details` to stdout."""
+    """Print the message to stderr and, with `--json`, the message and `details` to stdout. Return `code`."""
     for line in message.splitlines():
         output.warn(line)
     try:
         if "--json" in words and not output.emitted():
             output.emit({"error": message, "exit_code": code, **(details or {})}, True)
         sys.stdout.flush()
-    except OSError:  # it is stdout that takes nothing
+    except OSError:  # stdout cannot be written
         _silence_stdout()
     return code
 
 
 def _silence_stdout() -> None:
-    """Send what stdout still holds nowhere, so that the interpreter's end does not stumble over it."""
+    """Discard the rest of stdout, so that the interpreter's final flush does not fail."""
     os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _save_traceback(words: Sequence[str]) -> str:
-    """Name of a new file with the current exception's traceback and what was run."""
+    """Write the current exception's traceback and the arguments to a new file, and return its name."""
     import tempfile
     import traceback
 
@@ -167,7 +167,7 @@ def _save_traceback(words: Sequence[str]) -> str:
         handle, name = tempfile.mkstemp(prefix="trimtab-bug-", suffix=".txt")
     except OSError:
         sys.stderr.write(text)
-        return "the lines above"
+        return "the traceback above"
     with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8") as file:
         file.write(text)
     return name

@@ -1,4 +1,4 @@
-"""Finds studies through the entry-point group `trimtab.studies`; nothing here imports them."""
+"""Registry of studies, through the entry-point group `trimtab.studies`. The host does not import them."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ GROUP = "trimtab.studies"
 
 
 class Study(Protocol):
-    """A study: its options are the keyword arguments of its function beside those named here."""
+    """A study. Keyword arguments of its function other than those listed here are its options."""
 
     def __call__(
         self,
@@ -23,35 +23,37 @@ class Study(Protocol):
         seed: int,
         vehicle: str,
         jobs: int,
-        report: Callable[[float, float, str], None],
+        on_progress: Callable[[float, float, str], None],
         **options: Any,
     ) -> Mapping[str, Any]:
-        """Return the outcome as plain data: `answer` (the machine's object, with `study`), `lines` (for
-        people), `scores` (everything), and what its page shows.
+        """Run the study and return its outcome as plain data.
 
-        folder: state and results, gone on with where they are there. report: called with what is done, what
-        there is to do, and a word.
+        The outcome holds `answer` (the JSON object, with `study`), `lines` (text for the terminal), `scores`
+        (all results) and the entries that the report shows. `folder` holds state and results; a study that
+        finds them there resumes. `on_progress` is called with the work done, the total, and a detail text.
         """
         ...
 
 
-def options_of(study: Study, asked: Mapping[str, Any], flags: Mapping[str, str], name: str) -> dict[str, Any]:
-    """Those of the options asked for (None and False: not asked) that go to the study.
+def options_of(
+    study: Study, options: Mapping[str, Any], flags: Mapping[str, str], name: str
+) -> dict[str, Any]:
+    """Return the options that are set (not None or False), checked against the study's parameters.
 
-    flags: what each is called on the command line. Raises UsageError for one that this study has not.
+    `flags` maps options to their names on the command line. Raises UsageError for one that the study lacks.
     """
-    given = {key: value for key, value in asked.items() if value is not None and value is not False}
+    given = {key: value for key, value in options.items() if value is not None and value is not False}
     known = signature(study).parameters
     for key in given:
         if key not in known:
-            raise UsageError(f"{flags[key]} is no option of study {name}, leave it out")
+            raise UsageError(f"{flags[key]} is not an option of study {name}; leave it out")
     return given
 
 
 def find_study(name: str) -> Study:
-    """Return the study registered under `name`. Raises UsageError where there is none."""
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in found:
-        known = ", ".join(sorted(found)) or "none is installed, run `make venv`"
+    """Return the study registered under `name`. Raises UsageError if there is none."""
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in points:
+        known = ", ".join(sorted(points)) or "none is installed; run `make venv`"
         raise UsageError(f"no study called {name} (known: {known})")
-    return found[name].load()
+    return points[name].load()

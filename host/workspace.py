@@ -14,12 +14,12 @@ if TYPE_CHECKING:
 
 
 FOLDERS = ("vehicles", "routes", "effects")
-"""Where a workspace keeps its own files."""
+"""Folders of a workspace."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Workspace:
-    """The folder that names are looked up in, before the shipped files."""
+    """A folder in which names are looked up before the shipped files."""
 
     root: Path
 
@@ -30,7 +30,7 @@ class Workspace:
         return load_vehicle(name_or_path, self.root)
 
     def route(self, name_or_path: str | Path, vehicle: Vehicle | None = None) -> Route:
-        """Return the route of a name (`random:SEED` too) or path, with `vehicle` for more complete errors.
+        """Return the route of a name (also `random:SEED`) or path; `vehicle` makes errors more complete.
 
         Raises ConfigurationError.
         """
@@ -39,20 +39,21 @@ class Workspace:
         return load_route(name_or_path, self.root, vehicle)
 
     def effect_files(self) -> dict[str, Path]:
-        """Name (`slow-leak` for slow_leak.py) to file of the user's own candidate effects."""
-        found = sorted((self.root / "effects").glob("*.py"))
-        return {path.stem.replace("_", "-"): path for path in found if not path.stem.startswith("_")}
+        """Return the files of the user's candidate effects by name (`slow-leak` for slow_leak.py)."""
+        files = sorted((self.root / "effects").glob("*.py"))
+        return {path.stem.replace("_", "-"): path for path in files if not path.stem.startswith("_")}
 
 
 def open_workspace(folder: str | Path | None = None) -> Workspace:
-    """Return the workspace of `folder`, the current one where None. Raises UsageError where there is none.
+    """Return the workspace in `folder` or, for None, in the current folder.
 
-    None of its folders need be there; one of their names that is a file's is refused too.
+    Its subfolders need not exist. Raises UsageError if `folder` does not exist, or if a file has the name of
+    a subfolder.
     """
     root = Path.cwd() if folder is None else Path(folder)
     if not root.is_dir():
-        raise UsageError(f"{folder}: no such folder, give --workspace one that exists")
+        raise UsageError(f"{folder}: no such folder; give --workspace an existing one")
     for name in FOLDERS:
         if (root / name).exists() and not (root / name).is_dir():
-            raise UsageError(f"{root / name}: is a file where a workspace has a folder, rename it")
+            raise UsageError(f"{root / name}: is a file where a workspace has a folder; rename it")
     return Workspace(root=root)

@@ -1,1 +1,1 @@
-"""The simulated world: an independent plant, sensors, radio channel and clock around the firmware model."""
+"""The simulator: an independent plant, sensors, radio channel and clock around the firmware model."""

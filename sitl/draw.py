@@ -1,4 +1,4 @@
-"""The world as one seed makes it: effects with values, deviations of the build, sensors, links, processor."""
+"""Draw of a world from a seed: effects with values, deviations of the build, sensors, links, processor."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ from trimtab.sitl.world import (
 
 @dataclass(frozen=True, kw_only=True)
 class World:
-    """One world: `effects` maps kind to its numbers, `deviations` (kind, key) to what the build is off by."""
+    """One world. `effects` maps a kind to its values, `deviations` (kind, key) to that of the build."""
 
     name: str
     seed: int
@@ -39,7 +39,7 @@ class World:
     timing: TimingSettings
 
     def value(self, kind: str, key: str) -> float:
-        """Return a number as the plant has it: the effect's, else neutral with the build's deviation."""
+        """Return a value of the plant: the effect's, else neutral plus the build's deviation."""
         if kind in self.effects:
             return self.effects[kind][key]
         quantity = next(q for q in KINDS[kind].quantities if q.key == key)
@@ -48,7 +48,7 @@ class World:
 
 
 def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World:
-    """Return the world of a file and a seed for this vehicle: nothing else enters."""
+    """Return the world of a file and a seed for this vehicle. It depends on nothing else."""
     effects = dict(file.stated)
     if file.draw is not None:
         for kind in _draw_kinds(file.draw, frozenset(effects), seed):
@@ -68,7 +68,7 @@ def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World
 
 
 def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
-    """Return the kinds present: a uniform choice among the sets in which wind has a drag to act through."""
+    """Return the kinds of effect: a uniform choice among the sets that have a drag if they have wind."""
     rng = world_generator(seed, Purpose.KINDS)
     drags = set(DRAG)
     needs_drag = not stated & drags
@@ -80,10 +80,9 @@ def _draw_kinds(draw: Draw, stated: frozenset[str], seed: int) -> list[str]:
 
 
 def _draw_sizes(kind: Kind, draw: Draw, seed: int) -> dict[str, float]:
-    """Return the numbers of one kind: log-uniform multiples of the typical size, turned, mirrored or one
-    alone.
+    """Return the values of one kind: log-uniform multiples of the typical size, spread as `Spread` describes.
 
-    Places, directions and lengths come evenly from intervals of their own.
+    Positions, directions and lengths are uniform in their own intervals.
     """
     rng = world_generator(seed, Purpose.SIZES, list(KINDS).index(kind.name))
     low, high = (math.log(bound) for bound in draw.size)
@@ -111,9 +110,7 @@ def _bounded(quantity: Quantity, factor: float) -> float:
 
 
 def _draw_deviations(vehicle: Vehicle, seed: int) -> dict[tuple[str, str], float]:
-    """Return what the build is off by, one normal draw a number with the vehicle file's sigma, else the
-    default.
-    """
+    """Return the deviations of the build: a normal draw for each value, with the vehicle's tolerance."""
     rng = world_generator(seed, Purpose.TOLERANCES)
     deviations = {}
     for kind in KINDS.values():

@@ -1,10 +1,10 @@
 """Foreign plants: physics from a file outside this package, checked at every step.
 
 `path.py:Class` is built as `Class(vehicle, options, seed)`: the vehicle file, a dict, and a number that
-differs from flight to flight. It offers `reset(p_ned, q_ned_frd)`, `step(motor_command, dt_us)` with four
-commands in 0..1 held over a whole number of milliseconds, and `state()`, which gives p_ned, v_ned,
-q_ned_frd (w first), rate_frd, specific_force_frd and battery_v, free of noise. z_ned = 0 is the floor;
-contact is the plant's affair.
+differs between flights. It has the methods `reset(p_ned, q_ned_frd)`, `step(motor_command, dt_us)` with four
+commands in 0..1 held over a whole number of milliseconds, and `state()`, which returns p_ned, v_ned,
+q_ned_frd (w first), rate_frd, specific_force_frd and battery_v without noise. The floor is at z_ned = 0; the
+plant must model contact itself.
 """
 
 from __future__ import annotations
@@ -26,15 +26,15 @@ _UNIT_TOLERANCE = 1e-3
 
 
 class ForeignPlantError(TrimtabError, RuntimeError):
-    """A foreign plant cannot be loaded, raised, or returned what no vehicle can do; names the plant."""
+    """A foreign plant cannot be loaded, raised an error or returned an impossible state."""
 
     exit_code = 2
 
 
 class ForeignPlant:
-    """A foreign plant behind the simulator's own interface. Satisfies `trimtab.sitl.plant.PlantPort`.
+    """Adapter of a foreign plant to the simulator's interface `trimtab.sitl.plant.PlantPort`.
 
-    Every method raises ForeignPlantError where the plant raises or returns something unusable.
+    Every method raises ForeignPlantError if the plant raises an error or returns an unusable value.
     """
 
     def __init__(self, name: str, body: Any) -> None:
@@ -58,7 +58,7 @@ class ForeignPlant:
             return getattr(self._body, method)(*arguments)
         except KeyboardInterrupt:
             raise
-        except BaseException as error:  # whatever a foreign plant raises, SystemExit too, ends the session
+        except BaseException as error:  # any error of a foreign plant, even SystemExit, ends the session
             raise ForeignPlantError(
                 f"plant {self.name}: {method} raised {type(error).__name__}: {error}"
             ) from error
@@ -70,7 +70,7 @@ class ForeignPlant:
             sizes = zip(parts, _PARTS, strict=True)
             numbers = [_vector(part, name, size) for part, (name, size) in sizes]
             battery_v = float(battery_v)
-        except Exception as error:  # reading a user's object may raise anything
+        except Exception as error:  # a user's object may raise anything
             expected = ", ".join(name for name, _ in _PARTS)
             raise ForeignPlantError(
                 f"plant {self.name}: state must be {expected}, battery_v ({error})"
@@ -89,7 +89,7 @@ class ForeignPlant:
 
 
 def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int) -> ForeignPlant:
-    """Return the plant that `path.py:Class` names. Raises ForeignPlantError where it cannot be built."""
+    """Return the plant `path.py:Class`. Raises ForeignPlantError if it cannot be built."""
     file, _, class_name = spec.rpartition(":")
     path = Path(file)
     if not file or not class_name:
@@ -101,13 +101,13 @@ def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], 
         raise ForeignPlantError(f"plant {spec}: {file} is not a Python file")
     module = importlib.util.module_from_spec(module_spec)
     name = f"{path.name}:{class_name}"
-    sys.modules[module_spec.name] = module  # dataclasses in the file look their module up here
+    sys.modules[module_spec.name] = module  # dataclasses in the file look up their module here
     try:
         module_spec.loader.exec_module(module)
         body = getattr(module, class_name)(vehicle, dict(options), seed)
     except KeyboardInterrupt:
         raise
-    except BaseException as error:  # a user's file may raise anything, SystemExit too
+    except BaseException as error:  # a user's file may raise anything, even SystemExit
         raise ForeignPlantError(f"plant {name}: cannot be built, {type(error).__name__}: {error}") from error
     missing = [method for method in ("reset", "step", "state") if not callable(getattr(body, method, None))]
     if missing:
@@ -116,7 +116,7 @@ def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], 
 
 
 def read_plant_options(path: str | Path | None) -> dict[str, Any]:
-    """Return the options of a `--plant-options` file, none without one. Raises ForeignPlantError."""
+    """Return the options in a `--plant-options` file; empty without a file. Raises ForeignPlantError."""
     if path is None:
         return {}
     try:

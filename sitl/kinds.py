@@ -1,8 +1,8 @@
-"""What a simulated world can hold beyond the nominal vehicle: names, keys, sizes.
+"""Kinds of effect that a simulated world can have, with names, keys and sizes.
 
-Written for the simulator, not read from the host's candidates: the names and keys agree because the
-documentation fixes them. `tolerance` is one sigma of the deviation that every drawn world carries
-unannounced; the vehicle file may override it. The kinds marked `outside` are not in the host's library.
+This table is independent of the host's effect library. Names and keys agree because the documentation fixes
+them. `tolerance` is one standard deviation of the deviation that every drawn world has without stating it;
+the vehicle file may override it. Kinds marked `outside` are not in the host's library.
 """
 
 from __future__ import annotations
@@ -12,17 +12,20 @@ from dataclasses import dataclass
 from typing import Literal
 
 Spread = Literal["above", "either", "turned", "one"]
-"""How sizes are drawn: each above neutral, on either side of it, two numbers as one vector turned (a third
-of half the size on either side), or one of them above neutral and the others neutral."""
+"""How sizes are drawn.
+
+"above": each above neutral. "either": each on either side of neutral. "turned": the first two as a vector of
+random direction, a third with half the size on either side. "one": one above neutral, the others neutral.
+"""
 
 _TURN = (-math.pi, math.pi)
 
 
 @dataclass(frozen=True, kw_only=True)
 class Quantity:
-    """One number of a kind: its key in world files, typical distance from neutral, tolerance and bounds.
+    """One value of a kind: its key in world files, typical distance from neutral, tolerance and bounds.
 
-    `drawn` is the interval from which it is drawn evenly, where it is a place, a direction or a length.
+    `drawn` is the interval of a uniform draw, for a position, a direction or a length.
     """
 
     key: str
@@ -36,9 +39,9 @@ class Quantity:
 
 @dataclass(frozen=True, kw_only=True)
 class Kind:
-    """One kind of effect. `one_sided` tolerances deviate away from neutral only, as drag does.
+    """One kind of effect. With `one_sided`, deviations are only above neutral, as for drag.
 
-    Kinds that no build has by accident do not deviate.
+    `deviates` is False for kinds that a build does not have by accident.
     """
 
     name: str
@@ -179,7 +182,7 @@ KINDS: dict[str, Kind] = {
             name="slung-payload",
             quantities=(
                 _number("ratio", 0.08, 0.003, 0.0, 0.5),
-                # Short enough to clear the floor where references come down to half a metre.
+                # Short enough not to touch the floor when references descend to half a metre.
                 _number("length_m", 0.3, 0.05, 0.15, 2.0, neutral=0.6, drawn=(0.3, 0.45)),
                 _number("damping", 0.05, 0.02, 0.0, 0.5, neutral=0.05, drawn=(0.02, 0.06)),
             ),
@@ -207,17 +210,17 @@ KINDS: dict[str, Kind] = {
         ),
         _outside(
             "dead-zone",
-            _number("width", 0.02, 0.0, 0.0, 0.3),  # half of it, as a command
+            _number("width", 0.02, 0.0, 0.0, 0.3),  # half width, as a motor command
             _place("centre", 1.0, (0.99, 1.01), 0.1, 2.0),  # in hover commands
         ),
         _outside(
             "uneven-lag", _number("ratio", 1.0, 0.0, 1.0, 10.0, neutral=1.0)
-        ),  # slowing over speeding up
+        ),  # time constant of slowing down over that of speeding up
         _outside(
             "shifting-battery",
             _number("share", 0.25, 0.0, 0.0, 0.6),
             _place("stiffness", 25.0, (18.0, 35.0), 5.0, 400.0),  # 1/s^2
-            _place("slope", 0.15, (0.1, 0.2), -0.5, 0.5),  # rad, the tray's front end down
+            _place("slope", 0.15, (0.1, 0.2), -0.5, 0.5),  # rad, positive with the front end of the tray down
         ),
     )
 }

@@ -1,4 +1,4 @@
-"""A simulated vehicle's non-volatile memory in a file, so that it outlives the process."""
+"""Non-volatile memory of a simulated vehicle, in a file that outlives the process."""
 
 from __future__ import annotations
 
@@ -15,17 +15,17 @@ from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 
 def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
-    """Return the memory in the file, made where there is none; it has every write at once, and nobody else.
+    """Open the memory in a file, or make it, and lock it. Writes reach the file immediately.
 
-    Raises ConfigurationError where the file cannot be opened or made, is no memory, in use, or another
-    vehicle's.
+    Raises ConfigurationError if the file cannot be opened or made, is not a memory, is in use, or belongs to
+    another vehicle.
     """
     try:
         with contextlib.suppress(FileExistsError):
             _make(path)
         file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
     except OSError as error:
-        raise _refused(path, f"{error.strerror}, name a file that can be written") from None
+        raise _refused(path, f"{error.strerror}; name a file that can be written") from None
     try:
         store = ReferenceStore(Flash(_image(path, file), file))
         _check_owner(path, store, vehicle)
@@ -36,7 +36,7 @@ def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
 
 
 def _make(path: Path) -> None:
-    """Make a new memory, whole from the first moment. Raises FileExistsError."""
+    """Make a new, complete memory file atomically. Raises FileExistsError."""
     if os.path.lexists(path):
         raise FileExistsError
     handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
@@ -51,13 +51,13 @@ def _make(path: Path) -> None:
 def _image(path: Path, file: int) -> bytearray:
     status = os.fstat(file)
     if not stat.S_ISREG(status.st_mode):
-        raise _refused(path, "no ordinary file, name one")
+        raise _refused(path, "not a regular file; name one")
     try:
         fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
     except OSError:
-        raise _refused(path, "in use by another vehicle, end that or name another file") from None
+        raise _refused(path, "in use by another simulated vehicle; end it or name another file") from None
     if status.st_size != memory_bytes() or os.pread(file, len(MAGIC), 0) != MAGIC:
-        raise _refused(path, "no memory of this version of trimtab, name another file or remove it")
+        raise _refused(path, "not a memory of this version of trimtab; name another file or remove it")
     return bytearray(os.pread(file, status.st_size, 0))
 
 
@@ -71,5 +71,5 @@ def _check_owner(path: Path, store: ReferenceStore, vehicle: Vehicle) -> None:
         )
 
 
-def _refused(path: Path, why: str) -> ConfigurationError:
-    return ConfigurationError([f"memory {path}: {why}"])
+def _refused(path: Path, reason: str) -> ConfigurationError:
+    return ConfigurationError([f"memory {path}: {reason}"])

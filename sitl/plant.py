@@ -1,4 +1,4 @@
-"""The simulated vehicle's body: a compiled tick with the constants of one world and one flight."""
+"""The plant: a compiled tick of the simulated physics with the constants of one world and one flight."""
 
 from __future__ import annotations
 
@@ -17,17 +17,17 @@ from trimtab.sitl.seeds import Purpose, flight_generator
 from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
 from trimtab.sitl.vectors import rotation
 
-_SAG_START_DEPTH = 0.4  # flights in a world with battery-sag start full, down to this, or in between
+_SAG_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight in a world with battery-sag
 _NOISE_BLOCK = 1024
-_DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # of each motor controller's delay
-_LYING_AT_M = (-0.12, 0.05)  # of a payload on the floor, from the vehicle
+_DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # relative spread of the motor controllers' delays
+_LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 
 
 class PlantPort(Protocol):
-    """What the session needs of a plant, this one or a foreign one.
+    """Interface of a plant, the simulator's own or a foreign one.
 
-    `pose` holds p_ned, v_ned of the origin and q_ned_frd (w first); `sensed` body rate and specific force
-    in FRD and the battery's voltage: doubles, renewed by every step, the same memory for life.
+    `pose` holds p_ned and v_ned of the origin and q_ned_frd (w first). `sensed` holds body rate and specific
+    force in FRD and the battery voltage. Both are arrays of doubles that every step overwrites in place.
     """
 
     @property
@@ -40,9 +40,9 @@ class PlantPort(Protocol):
 
 
 class Plant:
-    """A vehicle in a world, stepped a millisecond at a time. Satisfies PlantPort.
+    """A vehicle in a world, stepped in milliseconds. Satisfies PlantPort.
 
-    `state` is the memory of `plant_model.STATE` after the last step; `reset` comes first.
+    `state` holds `plant_model.STATE` after the last step. Call `reset` first.
     """
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
@@ -66,8 +66,8 @@ class Plant:
         self._line_m = values["payload"][1]
         delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
         self._delayed = max(delays) > 0.0
-        # Commands sent, the newest tick first and in it the last motor; where each motor's delay begins and
-        # ends there, and its share of a tick.
+        # `_sent`: past commands, newest tick first and within it the last motor first. `_delays`: for each
+        # motor, the two indices in `_sent` around its delay, and the fraction of a tick between them.
         self._sent: deque[float] = deque(maxlen=4 * (int(max(delays)) + 2))
         self._delays = [
             (i, 4 * int(ticks) + 3 - i, 4 * int(ticks) + 7 - i, ticks - int(ticks))
@@ -78,7 +78,7 @@ class Plant:
         self._at = self._end = 0
 
     def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
-        """Put the origin at rest at a pose, rotors stopped, turbulence as usual.
+        """Put the vehicle at rest at a pose, with rotors stopped and turbulence in its stationary state.
 
         At z_ned = 0 the feet stand on the floor.
         """
@@ -108,7 +108,7 @@ class Plant:
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
     def step(self, motor_command: Sequence[float]) -> None:
-        """Advance by one millisecond with the commands, 0..1 a rotor, held."""
+        """Advance by one millisecond with constant motor commands in 0..1."""
         at = self._at
         if at == self._end and not self._calm:
             self._draw_noise()
@@ -129,7 +129,7 @@ class Plant:
         self._engine()
 
     def _hanging(self, p_ned: Sequence[float]) -> list[float]:
-        """Where a payload is at the start: under the vehicle, or on the floor beside it."""
+        """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
         x, y, z = p_ned
         if z + self._line_m < 0.0:
             return [x, y, z + self._line_m + LINE_STRETCH_M]
@@ -146,18 +146,15 @@ def _traced(parts: frozenset[str]) -> Any:
 
 
 def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
-    """Return the tick of a world with these of `plant_model.PARTS`, with memory of its own.
+    """Return an engine for the tick with these parts of `plant_model.PARTS`, with its own memory.
 
-    Compiled or not as `trimtab.host.codegen` chooses.
+    `trimtab.host.codegen` decides whether it is compiled.
     """
     return function_engine(_traced(parts), INPUTS, OUTPUTS)
 
 
 def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memoryview:
-    """Return the numbers of `values` as one vector in the order of `layout`.
-
-    Raises ValueError for a wrong size.
-    """
+    """Return `values` as one vector in the order of `layout`. Raises ValueError for a wrong size."""
     for name, size in layout:
         if len(values[name]) != size:
             raise ValueError(f"{name} holds {len(values[name])} numbers, not {size}")

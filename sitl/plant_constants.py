@@ -1,4 +1,4 @@
-"""The constants of a simulated flight's physics, from vehicle file and world."""
+"""Constants of the simulated physics of a flight, from vehicle file and world."""
 
 from __future__ import annotations
 
@@ -12,22 +12,22 @@ from trimtab.sitl.draw import World
 from trimtab.sitl.plant_model import TICK_S
 from trimtab.sitl.surroundings import GRAVITY_M_S2
 
-SINK_M = 5e-4  # how far the resting vehicle presses its feet into the floor
+SINK_M = 5e-4  # depth of the feet in the floor under the vehicle's weight
 _FLOOR_DAMPING = 0.7
 _CELL_RESISTANCE_OHM_AH = 0.012  # of one cell, times its capacity
 _HOVER_POWER_W_PER_N = 15.0
-_BATTERY_SHARE = 0.3  # of the mass: the part that slid when the centre of mass is off
-_LAG_UNEVEN = 0.05  # a motor slower than its file brakes even more slowly than it speeds up
+_BATTERY_SHARE = 0.3  # share of the mass that slides if the centre of mass is displaced
+_LAG_UNEVEN = 0.05  # a motor slower than in its file slows down even more slowly than it speeds up
 _AIR_DENSITY_KG_M3 = 1.2
-_DISC_SHARE = 0.7  # of half the way to the next hub: a rotor's radius
-_INERTIA_PRODUCTS = (0.03, 0.05, -0.04)  # xy, xz, yz that come with wrong moments, share of the change
-_BOLTED_FRD = (0.03, -0.02, 0.24)  # where what makes the mass wrong sits, share of the arms' length
-_TRAY_END = 0.24  # how far a battery slides either way, share of the arms' length
-_MOMENTUM_SPREAD = (0.0015, -0.001, 0.001, -0.0015)  # of each rotor's angular momentum
+_DISC_SHARE = 0.7  # rotor radius over half the distance to the next hub
+_INERTIA_PRODUCTS = (0.03, 0.05, -0.04)  # xy, xz, yz over the change of the moments of inertia
+_BOLTED_FRD = (0.03, -0.02, 0.24)  # position of an additional mass over the arm length
+_TRAY_END = 0.24  # greatest slide of a battery in either direction over the arm length
+_MOMENTUM_SPREAD = (0.0015, -0.001, 0.001, -0.0015)  # relative spread of the rotors' angular momenta
 
 
 def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
-    """Return the plant's constants by the names of `plant_model.PARAMETERS`, from vehicle file and world."""
+    """Return the plant's constants, by the names in `plant_model.PARAMETERS`."""
     value = world.value
     mass = vehicle.mass_kg * value("mass", "factor")
     com, inertia = _mass_properties(vehicle, world)
@@ -115,10 +115,10 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
 
 
 def _mass_properties(vehicle: Vehicle, world: World) -> tuple[np.ndarray, np.ndarray]:
-    """Centre of mass in FRD and inertia about it.
+    """Return the centre of mass in FRD and the inertia about it.
 
-    Where the centre of mass is off the origin, the battery has slid there. What makes the mass wrong is
-    bolted on below, wrong moments come with products: the inertia follows.
+    A displaced centre of mass means that the battery has slid. A deviation of the mass is a body attached
+    below. Deviating moments of inertia come with products of inertia.
     """
     factor = world.value("mass", "factor")
     mass = vehicle.mass_kg * factor
@@ -135,17 +135,17 @@ def _mass_properties(vehicle: Vehicle, world: World) -> tuple[np.ndarray, np.nda
 
 
 def _reach(vehicle: Vehicle) -> float:
-    """Length of an arm, m."""
+    """Return the length of an arm, m."""
     return math.hypot(*vehicle.rotors[0].position_m[:2])
 
 
 def _spread(r: np.ndarray) -> np.ndarray:
-    """Inertia of a unit mass at r."""
+    """Return the inertia of a unit mass at r."""
     return r @ r * np.eye(3) - np.outer(r, r)
 
 
 def _hover_inflow(vehicle: Vehicle) -> float:
-    """Induced velocity of a hovering rotor, m/s, by momentum theory; radius guessed from the hubs' places."""
+    """Return the induced velocity at hover, m/s, by momentum theory, with a radius from the hub positions."""
     hubs = [np.array(rotor.position_m) for rotor in vehicle.rotors]
     nearest = min(float(np.linalg.norm(a - hubs[0])) for a in hubs[1:])
     area = math.pi * (_DISC_SHARE * 0.5 * nearest) ** 2
@@ -153,12 +153,12 @@ def _hover_inflow(vehicle: Vehicle) -> float:
 
 
 def _swing(length_m: float) -> float:
-    """Return a pendulum's own frequency, rad/s."""
+    """Return the natural frequency of a pendulum, rad/s."""
     return math.sqrt(GRAVITY_M_S2 / length_m)
 
 
 def _canted(value: Callable[[str, str], float], i: int) -> list[float]:
-    """Direction of rotor i's thrust in FRD."""
+    """Return the direction of rotor i's thrust in FRD."""
     cant, towards = value("motor-cant", f"cant_{i}"), value("motor-cant", f"towards_{i}")
     side = math.sin(cant)
     return [side * math.cos(towards), side * math.sin(towards), -math.cos(cant)]

@@ -1,12 +1,12 @@
-"""One tick of the simulated vehicle's physics as a symbolic function, written apart from the host's models.
+"""One tick of the simulated physics as a symbolic function, independent of the host's models.
 
-The host's nominal model has Euler angles, thrust that lags by itself and forces on the body as a whole.
-Here the attitude is a quaternion, the rotors have speeds, forces act at each rotor hub, the centre of mass
-may be off the origin, and feet touch a floor. Every effect of a world enters where it arises, so that the
-host's form of it is an approximation, as it is for a real vehicle.
+The host's nominal model has Euler angles, a first-order lag of thrust, and forces on the whole body. Here the
+attitude is a quaternion, rotors have speeds, forces act at each rotor hub, the centre of mass may be off the
+origin, and feet touch a floor. Every effect acts where it arises, so the host's form of it is an
+approximation, as for a real vehicle.
 
-A rotor's speed is a share of its full speed: thrust is `thrust_max_n * speed**2`. Frames: world NED, body
-FRD with the origin in the middle of the rotors; the state's p and v are the centre of mass's.
+A rotor speed is a share of full speed: thrust is `thrust_max_n * speed**2`. Frames: world NED, body FRD with
+the origin at the centre of the rotors. p and v of the state belong to the centre of mass.
 """
 
 from __future__ import annotations
@@ -63,9 +63,13 @@ STATE = (
     Block("payload_ned", 6),
     Block("slide", 2),
 )
-"""Memory of a tick, in order. `gust`: three accelerations in NED (m/s^2) and three about FRD (rad/s^2);
-`acceleration_ned` and `turning_frd`: the accelerations of the centre of mass in the last tick;
-`payload_ned`: position and velocity of a slung payload; `slide`: way and speed of a battery on its tray."""
+"""State of the plant, in order.
+
+`gust`: accelerations in NED (m/s^2) and angular accelerations in FRD (rad/s^2) of turbulence.
+`acceleration_ned` and `turning_frd`: linear and angular acceleration of the last tick.
+`payload_ned`: position and velocity of a slung payload. `slide`: displacement and speed of a battery on its
+tray.
+"""
 
 PARAMETERS = (
     Block("mass_kg", 1),
@@ -80,7 +84,7 @@ PARAMETERS = (
     Block("hover_speed", 1),
     Block(
         "rise_half_tick", 1
-    ),  # exp(-half a tick / time constant) of a rotor that speeds up, and of one that slows
+    ),  # exp(-half a tick / time constant) of a rotor that speeds up; next, of one that slows down
     Block("fall_half_tick", 1),
     Block("thrust_gain", 1),
     Block("linear_drag", 3),
@@ -91,23 +95,25 @@ PARAMETERS = (
     Block("floor", 2),  # stiffness N/m and damping N s/m of one foot
     Block("sag_exponent", 1),
     Block("battery", 5),  # full V, empty V, resistance ohm, capacity C, hover power W
-    Block("gust", 3),  # memory over a tick, added sd of acceleration and of angular acceleration
+    Block("gust", 3),  # decay over a tick, added sd of acceleration and of angular acceleration
     Block("hover_inflow", 2),  # induced velocity at hover, m/s, and its fourth power
-    Block("translational_lift", 1),  # N of a rotor at hover speed, per m/s of induced velocity it is spared
+    Block(
+        "translational_lift", 1
+    ),  # N of a rotor at hover speed, per m/s of reduction of the induced velocity
     Block("thrust_inflow", 1),  # N of a rotor at hover speed, per m/s along its axis
     Block("rotor_loss", 4),
     Block("ground_effect", 1),
-    Block("gyroscopic", 4),  # angular momentum of each rotor at hover speed about the way it turns, N m s
+    Block("gyroscopic", 4),  # angular momentum of each rotor at hover speed, with the sign of its spin, N m s
     Block("torque_bias", 3),  # N m
     Block("hover_thrust_n", 1),  # of all rotors
     Block("cant", 12),  # direction of each rotor's thrust, FRD
     Block("dead_zone", 2),  # centre and half-width, as commands
     Block("fan", 6),  # push m/s^2, width m, place NE, direction NE
     Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
-    Block("payload", 3),  # mass kg, length of the line m, what its attachment takes from the swing 1/s
+    Block("payload", 3),  # mass kg, length of the line m, damping of the swing at the attachment 1/s
     Block(
         "slide", 5
-    ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, way to its end m
+    ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, distance to its end m
 )
 """The constants of one flight, in order."""
 
@@ -135,20 +141,23 @@ PARTS = frozenset(
         "shifting-battery",
     }
 )
-"""Kinds whose physics is left out of the tick of a world without them: no build deviates in these."""
+"""Kinds whose physics the tick omits in worlds without them. Builds do not deviate in these."""
 
-ROTOR_DRAG_SHARE = 0.5  # of the linear drag across the discs: goes with rotor speed; the rest is the frame
-_PLATE = (0.94, 1.06, 1.2)  # drag area seen along each body axis over the mean of x and y
-_BIAS_WITH_THRUST = 0.3  # of a torque bias at hover: grows with thrust, as a bent arm's
+ROTOR_DRAG_SHARE = (
+    0.5  # share of the linear drag across the discs that scales with rotor speed; the rest is the frame's
+)
+_PLATE = (0.94, 1.06, 1.2)  # drag area along each body axis over the mean of x and y
+_BIAS_WITH_THRUST = 0.3  # share of a torque bias at hover that grows with thrust, as for a bent arm
 
 
 def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) -> dict[str, list[Scalar]]:
-    """State, pose and sensed quantities after one millisecond with the motor command held.
+    """Return state, pose and sensed quantities after one millisecond with a constant motor command.
 
-    `ops` is the arithmetic (`where`, `exp`, ...) of floats, CasADi scalars or numpy lanes; `noise` six
-    standard normal numbers; `parts` what of `PARTS` the world has. Midpoint rule on the rigid body, with the
-    way to the middle taken from the last tick's accelerations: second order for one evaluation of the
-    forces. Rotors and gusts follow exact exponentials, battery, payload and tray are stepped once.
+    `ops` is the arithmetic (`where`, `exp`, ...) of floats, CasADi scalars or NumPy arrays. `noise` holds six
+    standard normal numbers. `parts` are the members of `PARTS` in the world. The rigid body is integrated by
+    the midpoint rule. The midpoint is extrapolated with the accelerations of the last tick, so one evaluation
+    of the forces gives second order. Rotors and gusts follow exact exponentials; battery, payload and tray
+    take one step.
     """
     P = _cut(PARAMETERS, inputs["parameters"])
     x = _cut(STATE, inputs["state"])
@@ -184,7 +193,7 @@ def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) 
 
 
 class _Body(NamedTuple):
-    """The rigid body in the middle of a tick: p and v in NED, R_ned_frd, body rate, centre of mass in FRD."""
+    """The rigid body at the middle of a tick: p and v in NED, R_ned_frd, body rate, centre of mass in FRD."""
 
     p: Vector
     v: Vector
@@ -193,7 +202,7 @@ class _Body(NamedTuple):
     com: Vector
 
 
-def _accelerations(  # noqa: C901 - one expression; its order of operations is part of every flight's bytes
+def _accelerations(  # noqa: C901 - the order of operations determines the bytes of every flight
     ops: Any,
     P: Mapping[str, Any],
     body: _Body,
@@ -202,9 +211,9 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
     line: Vector | None,
     parts: Container[str],
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Acceleration of the centre of mass in NED and angular acceleration in FRD.
+    """Return the acceleration of the centre of mass in NED and the angular acceleration in FRD.
 
-    `line` is the force in NED of a slung payload's line, at the origin; None without one.
+    `line` is the force in NED of a slung payload's line at the origin; None without a payload.
     """
     p, v, R, w, com = body
     mass = P["mass_kg"][0]
@@ -214,7 +223,7 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
     force: list[Scalar] = [0.0, 0.0, 0.0]
     torque: list[Scalar] = [0.0, 0.0, 0.0]
 
-    def push(arm: Vector, f: Vector) -> None:
+    def apply_force(arm: Vector, f: Vector) -> None:
         for k, m in enumerate(cross(arm, f)):
             force[k] = force[k] + f[k]
             torque[k] = torque[k] + m
@@ -233,10 +242,12 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
         braking = P["spins"][i] * P["torque_per_thrust_m"][0] * braking
         if "motor-cant" in parts:
             axis = P["cant"][3 * i : 3 * i + 3]
-            push(arm, [thrust * axis[k] - (share * drag[k] * hub[k] if k < 2 else 0.0) for k in range(3)])
+            apply_force(
+                arm, [thrust * axis[k] - (share * drag[k] * hub[k] if k < 2 else 0.0) for k in range(3)]
+            )
             torque = [t - braking * c for t, c in zip(torque, axis, strict=True)]
         else:
-            push(arm, [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -thrust])
+            apply_force(arm, [-share * drag[0] * hub[0], -share * drag[1] * hub[1], -thrust])
             torque[2] = torque[2] + braking
         if "blade-flapping" in parts:
             flap = P["flapping"][0] / 4 * relative
@@ -245,7 +256,9 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
         if "gyroscopic" in parts:
             surplus = surplus + P["gyroscopic"][i] * relative
 
-    if "gyroscopic" in parts:  # -w x L; a rotor that turns counter-clockwise from above points up
+    if (
+        "gyroscopic" in parts
+    ):  # -w x L; the momentum of a rotor that turns counter-clockwise from above points up
         torque = [torque[0] + surplus * w[1], torque[1] - surplus * w[0], torque[2]]
     bent = 1 - _BIAS_WITH_THRUST + _BIAS_WITH_THRUST * total / P["hover_thrust_n"][0]
     torque = [t + bent * b for t, b in zip(torque, P["torque_bias"], strict=True)]
@@ -255,9 +268,9 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
     speed = ops.sqrt(dot(flow, flow))
     linear = [(1 - ROTOR_DRAG_SHARE) * drag[0], (1 - ROTOR_DRAG_SHARE) * drag[1], drag[2]]
     plate = [linear[k] + mass * speed * _PLATE[k] * P["quadratic_drag"][0] for k in range(3)]
-    push(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
+    apply_force(middle, [-c * u for c, u in zip(plate, flow, strict=True)])
     if line is not None:
-        push(middle, into_body(R, line))
+        apply_force(middle, into_body(R, line))
 
     outside, floor_torque = floor(ops, P, p, v, R, w, arms)
     torque = add(torque, floor_torque)
@@ -275,7 +288,7 @@ def _accelerations(  # noqa: C901 - one expression; its order of operations is p
 
 
 def _hang(ops: Any, P: Mapping[str, Any], body: _Body, hanging: Vector) -> tuple[list[Scalar], list[Scalar]]:
-    """Force in NED of a payload's line on the vehicle's origin, and the payload's state after the tick."""
+    """Return the force in NED of a payload's line at the origin, and the payload's state after the tick."""
     hook = _origin(body.p, body.v, body.R, body.w, body.com)
     p, v = hanging[:3], hanging[3:]
     place = ahead(p, v, 0.5 * TICK_S)
@@ -287,7 +300,7 @@ def _hang(ops: Any, P: Mapping[str, Any], body: _Body, hanging: Vector) -> tuple
 def _slide(
     ops: Any, P: Mapping[str, Any], slide: Vector, acceleration: Vector, turning: Vector, R: Vector
 ) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """Centre of mass and its velocity in FRD with the battery where it has slid to, and its next state."""
+    """Return centre of mass and its velocity in FRD with a sliding battery, and the battery's next state."""
     share, _, along, down, _ = P["slide"]
     s, rate = slide
     force = into_body(R, [acceleration[0], acceleration[1], acceleration[2] - GRAVITY_M_S2])
@@ -299,10 +312,10 @@ def _slide(
 
 
 def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
-    """Voltage under load at the start of the tick, V, and charge used at its end, C.
+    """Return the voltage under load at the start of the tick, V, and the charge used at its end, C.
 
-    The open-circuit voltage falls with depth of discharge like a lithium-polymer cell's; rotor power grows
-    with speed cubed. Load: V^2 - V_oc V + R P = 0.
+    The open-circuit voltage falls with the depth of discharge as in a lithium-polymer cell. Rotor power grows
+    with speed cubed. Voltage under load: V^2 - V_oc V + R P = 0.
     """
     full, empty, resistance, capacity, hover_power = P["battery"]
     power: Scalar = 0.0
@@ -319,9 +332,7 @@ def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> 
 
 
 def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
-    """Return the next state of the turbulence: six independent Ornstein-Uhlenbeck processes, held over the
-    tick.
-    """
+    """Return the next state of the turbulence: six Ornstein-Uhlenbeck processes, constant over the tick."""
     keep, force, torque = P["gust"]
     added = (force, force, force, torque, torque, torque)
     return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]
@@ -330,7 +341,7 @@ def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
 def _origin(
     p: Vector, v: Vector, R: Vector, w: Vector, com: Vector, com_rate: Vector | None = None
 ) -> list[Scalar]:
-    """Position and velocity in NED of the body's origin, from those of the centre of mass."""
+    """Return position and velocity in NED of the body's origin, from those of the centre of mass."""
     place = into_world(R, com)
     moving = cross(w, com)
     if com_rate is not None:

@@ -1,4 +1,4 @@
-"""Ports at which a simulated vehicle is served: a pty, TCP or UDP."""
+"""Ports of a simulated vehicle: a pty, TCP or UDP."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ from trimtab.protocol.stream import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
 
 _READ_BYTES = 4096
 _CLIENTS_MAX = 8
-_PEER_US = 10_000_000  # a datagram peer that has been silent for longer is answered no more
-_BACKLOG_BYTES = 65536  # towards a client that does not read; older bytes are then dropped, as by a full UART
+_PEER_US = 10_000_000  # a UDP peer that has been silent for longer gets no more data
+_BACKLOG_BYTES = 65536  # for a client that does not read; older bytes are then dropped, as by a full UART
 
 
 class ServeError(TrimtabError, RuntimeError):
@@ -27,9 +27,9 @@ class ServeError(TrimtabError, RuntimeError):
 
 
 class Port(Protocol):
-    """A byte stream to whoever is there. `address` is what a client opens.
+    """A byte stream to the connected clients. `address` is what a client opens.
 
-    What a client sends is read in whole messages where there may be several clients.
+    If there may be several clients, their data is read in complete messages.
     """
 
     address: str
@@ -41,13 +41,13 @@ class Port(Protocol):
 
 
 def open_port(spec: str) -> Port:
-    """Return the port a specification names. Raises ServeError where it is malformed or taken."""
+    """Open the port that a specification names. Raises ServeError if it is malformed or in use."""
     if spec == "pty":
         return _Pty()
-    scheme, _, rest = spec.partition(":")
+    scheme, _, location = spec.partition(":")
     if scheme not in ("tcp", "udp"):
-        raise ServeError(f"port {spec}: choose pty, tcp:HOST:PORT or udp:HOST:PORT")
-    host, number = host_port(rest.removeprefix("//"), spec)
+        raise ServeError(f"port {spec}: give pty, tcp:HOST:PORT or udp:HOST:PORT")
+    host, number = host_port(location.removeprefix("//"), spec)
     try:
         return _Tcp(host, number) if scheme == "tcp" else _Udp(host, number)
     except OSError as error:
@@ -55,7 +55,7 @@ def open_port(spec: str) -> Port:
 
 
 class _Pty:
-    """A pseudo terminal. Its slave stays open here, so that a client may come and go."""
+    """A pseudo-terminal. Its slave side stays open, so that clients can connect and disconnect."""
 
     def __init__(self) -> None:
         self._master, self._slave = os.openpty()
@@ -97,7 +97,7 @@ class _Pty:
 
 
 class _Client:
-    """One TCP client: what it has begun to say, and what it has not taken yet."""
+    """One TCP client, with the incomplete message that it sends and the data that it has not read."""
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
@@ -108,7 +108,7 @@ class _Client:
         self._backlog = bytearray()
 
     def read(self) -> bytes:
-        """Whole messages, and bytes that belong to none."""
+        """Return complete messages, and bytes that do not belong to a message."""
         try:
             data = self.socket.recv(_READ_BYTES)
         except BlockingIOError:
@@ -135,7 +135,7 @@ class _Client:
 
 
 class _Tcp:
-    """A listening socket that serves several clients at a time; at most so many, the oldest make room."""
+    """A listening socket for up to `_CLIENTS_MAX` clients. A further client replaces the oldest."""
 
     def __init__(self, host: str, port: int) -> None:
         self._listener = socket.create_server((host, port))
@@ -179,7 +179,7 @@ class _Tcp:
 
 
 class _Udp:
-    """A bound socket that answers everybody who spoke lately."""
+    """A bound socket that sends to every peer that it has received from recently."""
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(address_family(host), socket.SOCK_DGRAM)
@@ -207,7 +207,7 @@ class _Udp:
             return
         last_us = wall_us() - _PEER_US
         for peer, heard_us in list(self._heard_us.items()):
-            # The newest is answered however long ago it spoke: it may only be listening.
+            # The newest peer gets data even after a long silence, because it may only be listening.
             if heard_us < last_us and len(self._heard_us) > 1:
                 del self._heard_us[peer]
                 continue
@@ -219,7 +219,7 @@ class _Udp:
 
 
 def whole_bytes(data: bytes) -> int:
-    """How many bytes of `data` come before a MAVLink 2 message that has only begun; by its header alone."""
+    """Return the number of bytes before an incomplete MAVLink 2 message at the end of `data`."""
     at = data.find(MAGIC)
     while 0 <= at < len(data):
         after = at + OVERHEAD_BYTES
@@ -232,22 +232,22 @@ def whole_bytes(data: bytes) -> int:
 
 
 def remedy(error: OSError) -> str:
-    """Why nothing can be served at an address and what to do."""
+    """Return why an address cannot be used and what to do about it."""
     if error.errno == errno.EADDRINUSE:
-        return "in use by another program, close that or choose another number"
+        return "in use by another program; close that program or choose another port number"
     if error.errno == errno.EADDRNOTAVAIL or isinstance(error, socket.gaierror):
-        return "no address of this machine, give 127.0.0.1, or 0.0.0.0 for every one it has"
+        return "not an address of this machine; give 127.0.0.1, or 0.0.0.0 for all its addresses"
     if error.errno == errno.EACCES:
-        return "not allowed, choose a number from 1024 on"
-    return f"{os.strerror(error.errno or 0)}, choose another address"
+        return "permission denied; choose a port number from 1024 on"
+    return f"{os.strerror(error.errno or 0)}; choose another address"
 
 
-def host_port(text: str, spec: str, least: int = 0) -> tuple[str, int]:
-    """Host and port number, where 0 means any that is free. Raises ServeError."""
+def host_port(text: str, spec: str, lowest: int = 0) -> tuple[str, int]:
+    """Return host and port number, where 0 stands for any free port. Raises ServeError."""
     host, colon, number = text.rpartition(":")
     whole = number.isascii() and number.isdigit()
-    if not colon or not host or not whole or not least <= int(number) <= 65535:
-        raise ServeError(f"{spec}: needs HOST:PORT with a port number of {least} to 65535")
+    if not colon or not host or not whole or not lowest <= int(number) <= 65535:
+        raise ServeError(f"{spec}: needs HOST:PORT with a port number of {lowest} to 65535")
     return host.strip("[]"), int(number)
 
 
@@ -257,5 +257,5 @@ def address_family(host: str) -> socket.AddressFamily:
 
 
 def wall_us() -> int:
-    """Return the time of the wall clock."""
+    """Return the time of the wall clock, us."""
     return time.monotonic_ns() // 1000

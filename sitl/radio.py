@@ -1,7 +1,7 @@
-"""The air between the two radios: half-duplex slots on demand, loss in bursts, delay, damage, cuts.
+"""The channel between the two radios: half-duplex slots on demand, burst loss, delay, corruption, cuts.
 
-Design choices, not measurements: no trustworthy figures for ultra-wideband telemetry on quadrotors were
-found. Frames are opaque here; what is in them is the radios' affair.
+These are design choices, not measurements: no reliable figures for ultra-wideband telemetry on quadrotors
+were found. The channel does not look into frames.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ _FLIPS_MAX = 6
 
 
 class Radio(Protocol):
-    """What the channel sees of a radio: whether a pose waits, frames out on request, frames in."""
+    """Interface of a radio to the channel."""
 
     @property
     def pose_waits(self) -> bool: ...
@@ -33,7 +33,7 @@ class Radio(Protocol):
 
 @dataclass
 class DirectionCounts:
-    """What happened to the frames of one direction."""
+    """Counters of the frames of one direction."""
 
     sent: int = 0
     lost: int = 0
@@ -44,18 +44,18 @@ class DirectionCounts:
 
 
 class BurstLoss:
-    """A Gilbert-Elliott chain, advanced once a frame: a bad spell loses full frames, a good one none.
+    """A Gilbert-Elliott chain with one step per frame: in its bad state, full frames are lost.
 
     Parameters
     ----------
     loss
-        share of full frames lost in the long run.
+        Long-run share of full frames lost.
     burst_frames
-        mean number of frames in a bad spell.
+        Mean number of frames in a burst (bad state).
     short_risk
-        chance of a very short frame to be lost in a bad spell.
+        Probability that a very short frame is lost in a burst.
     draw
-        the next uniform number in 0..1.
+        Returns the next uniform number in 0..1.
     """
 
     def __init__(
@@ -68,7 +68,7 @@ class BurstLoss:
         self._bad = draw() < loss
 
     def lost(self, size: int) -> bool:
-        """Whether the next frame, of `size` bytes, is lost."""
+        """Advance by one frame of `size` bytes. Return whether it is lost."""
         chance = self._draw()
         self._bad = chance >= self._leave if self._bad else chance < self._enter
         risk = self._short_risk + (1.0 - self._short_risk) * size / FRAME_BYTES
@@ -76,7 +76,7 @@ class BurstLoss:
 
 
 class _Direction:
-    """Frames from one radio to the other: where they come from, where they go, and the chance they meet."""
+    """One direction of the channel: source and target radio, random numbers, loss and counters."""
 
     def __init__(
         self, source: Radio, target: Radio, settings: RadioSettings, rng: np.random.Generator
@@ -86,20 +86,21 @@ class _Direction:
         self.draw = _uniforms(rng).__next__
         self.loss = BurstLoss(settings.loss, settings.burst_frames, settings.short_risk, self.draw)
         self.counts = DirectionCounts()
-        self.may_have = True  # whether the source may have a frame: no, once it had none, until it is told
+        self.may_have = True  # whether the source may have a frame; False after it had none, until `wake`
 
 
 class RadioChannel:
     """The channel between a ground and a vehicle radio.
 
-    `due_us` is when the channel next has work: a slot that somebody may want, or a delivery. A radio that got
-    something new to send is announced by `wake`. `watch`, where set, is told when a frame leaves, and its
-    bytes.
+    `due_us` is the time of the next slot that a radio may want, or of the next delivery. Call `wake` when a
+    radio has something new to send. `watch`, if set, is called with time and bytes of every frame sent.
 
     Parameters
     ----------
     ground, vehicle
-        the two radios. up_rng, down_rng: chance of ground to vehicle and back.
+        The two radios.
+    up_rng, down_rng
+        Random numbers of the directions ground to vehicle and back.
     """
 
     def __init__(
@@ -115,7 +116,7 @@ class RadioChannel:
         self._up = _Direction(ground, vehicle, settings, up_rng)
         self._down = _Direction(vehicle, ground, settings, down_rng)
         self._turn, self._other = self._up, self._down
-        self._ahead = False  # whether the last slot was given out of turn
+        self._ahead = False  # whether the last slot was assigned out of turn
         self._slot_us = 0
         self._air: list[tuple[int, int, _Direction, bytes]] = []
         self._serial = 0
@@ -136,14 +137,14 @@ class RadioChannel:
         return self._down.counts
 
     def wake(self, now_us: int, *, ground: bool) -> None:
-        """Wake the channel: a radio may have something to send."""
+        """Note that a radio may have something to send."""
         (self._up if ground else self._down).may_have = True
         soonest_us = self._slot_us if self._slot_us > now_us else now_us
         if soonest_us < self.due_us:
             self.due_us = soonest_us
 
     def tick(self, now_us: int) -> None:
-        """Deliver the frames that are due and give away a due slot."""
+        """Deliver the frames that are due, and assign a slot that is due."""
         air = self._air
         while air and air[0][0] <= now_us:
             _, _, direction, frame = heapq.heappop(air)
@@ -157,10 +158,11 @@ class RadioChannel:
         self.due_us = air[0][0] if air and air[0][0] < due_us else due_us
 
     def _give_slot(self, now_us: int) -> None:
-        """Give the slot to the side whose turn it is, else to the other; the turn then passes on.
+        """Assign the slot to the radio whose turn it is or, if it has no frame, to the other.
 
-        A pose goes ahead of the other side's turn, which stays its turn: so a pose waits for one slot at
-        most. No two slots in succession go out of turn, so that the other side has every third at least.
+        A waiting pose goes ahead of the other radio's turn, so it waits for one slot at most; the other radio
+        keeps its turn. Two consecutive slots are never assigned out of turn, so the other radio gets at least
+        every third slot.
         """
         ahead = not self._ahead and self._other.source.pose_waits
         self._ahead = ahead
@@ -197,8 +199,8 @@ class RadioChannel:
             counts.duplicated += 1
             copies = 2
         rate = settings.bit_rate
-        took_us = settings.slot_us if rate is None else air_us(len(frame), rate)
-        arrival_us = now_us + took_us + settings.latency_us
+        duration_us = settings.slot_us if rate is None else air_us(len(frame), rate)
+        arrival_us = now_us + duration_us + settings.latency_us
         for _ in range(copies):
             self._serial += 1
             late_us = int(draw() * settings.jitter_us)
@@ -206,7 +208,7 @@ class RadioChannel:
 
 
 def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
-    """Return the frame with one to a few bits turned over."""
+    """Return the frame with one to `_FLIPS_MAX` bits flipped."""
     damaged = bytearray(frame)
     for _ in range(1 + int(draw() * _FLIPS_MAX)):
         bit = int(draw() * 8 * len(damaged))

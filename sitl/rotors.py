@@ -1,7 +1,7 @@
-"""The simulated rotors: how fast they turn, and what each gives at its hub.
+"""The simulated rotors: their speeds, and the forces at each hub.
 
-A rotor's speed is a share of its full speed, `relative` a multiple of hover's. `P` holds the constants of
-`plant_model.PARAMETERS`, `parts` the optional physics in use; frames: body FRD, world NED.
+A rotor speed is a share of full speed; `relative` is a multiple of hover speed. `P` holds the constants of
+`plant_model.PARAMETERS`, `parts` the optional physics in use. Frames: body FRD, world NED.
 """
 
 from __future__ import annotations
@@ -11,19 +11,19 @@ from typing import Any
 
 from trimtab.sitl.vectors import Scalar, Vector
 
-_SAG_LOAD = -0.1  # a loaded motor gives way less than in proportion to voltage
+_SAG_LOAD = -0.1  # under load, the speed falls less than in proportion to voltage
 _GAIN_REYNOLDS = 0.3  # a propeller's thrust error shrinks as it turns faster
-_LOSS_REYNOLDS = 0.3  # so does what a damaged blade loses
-_LOSS_DRAG = 0.7  # share of the lost thrust that is saved as drag torque: a damaged blade still drags
-_GROUND_FADE_M = 10.0  # over and above the inverse square of height
-_GROUND_ROOT_M = 0.15  # height of the mirrored rotor's core: keeps the law finite
+_LOSS_REYNOLDS = 0.3  # so does the thrust loss of a damaged blade
+_LOSS_DRAG = 0.7  # relative reduction of drag torque over that of thrust: a damaged blade still drags
+_GROUND_FADE_M = 10.0  # decay in addition to the inverse square of height
+_GROUND_ROOT_M = 0.15  # core radius of the mirrored rotor, which keeps the law finite
 _GROUND_MOST = 0.3  # thrust grows to at most 1 / (1 - this)
 
 
 def rotor_speeds(
     ops: Any, P: Mapping[str, Any], speeds: Vector, command: Vector, voltage: Scalar, parts: Container[str]
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Rotor speeds in the middle and at the end of the tick: each follows its command, first order."""
+    """Return rotor speeds in the middle and at the end of the tick. Each follows its command with a lag."""
     c1, c2 = P["thrust_curve"]
     sags = "battery-sag" in parts
     sag = 0.5 * P["sag_exponent"][0] * ops.log(voltage / P["battery"][0]) if sags else 0.0
@@ -45,10 +45,11 @@ def rotor_speeds(
 def rotor_thrust(
     ops: Any, P: Mapping[str, Any], i: int, speed: Scalar, relative: Scalar, hub: Vector
 ) -> tuple[Scalar, Scalar]:
-    """Thrust of rotor i, N, and what its drag torque goes with, N; `hub` is its air velocity in FRD.
+    """Return the thrust of rotor i, N, and the thrust that its drag torque is proportional to, N.
 
-    Air across the disc lowers the induced velocity (Glauert's v_i^2 = sqrt(V^4/4 + v_h^4) - V^2/2) and so
-    raises the thrust of a blade that turns as before; air along the axis changes the blade's angle.
+    `hub` is the velocity of the hub through the air, FRD. Air across the disc lowers the induced velocity
+    (Glauert: v_i^2 = sqrt(V^4/4 + v_h^4) - V^2/2) and so increases the thrust at the same speed. Air along
+    the axis changes the blade's angle of attack.
     """
     gain = 1 + (P["thrust_gain"][0] - 1) / (1 + _GAIN_REYNOLDS * (relative - 1))
     whole = P["thrust_max_n"][0] * gain * speed * speed
@@ -63,9 +64,9 @@ def rotor_thrust(
 
 
 def ground_gain(ops: Any, P: Mapping[str, Any], height: Scalar, upright: Scalar) -> Scalar:
-    """Factor on a rotor's thrust at a hub's height over the floor: Cheeseman and Bennett's, fading.
+    """Return the factor on a rotor's thrust at a height over the floor: Cheeseman and Bennett, with a decay.
 
-    `upright` is the cosine of the tilt: a leaning rotor's wake comes back beside it.
+    `upright` is the cosine of the tilt: the wake of a tilted rotor does not return to it.
     """
     near = ops.maximum(height, 0.0)
     share = P["ground_effect"][0] * ops.exp(-near / _GROUND_FADE_M) * upright
@@ -73,5 +74,5 @@ def ground_gain(ops: Any, P: Mapping[str, Any], height: Scalar, upright: Scalar)
 
 
 def _dead(ops: Any, u: Scalar, centre: Scalar, width: Scalar) -> Scalar:
-    """Return a command as the motor takes it: within `width` of `centre` all are the same."""
+    """Return the effective motor command: all commands within `width` of `centre` act as `centre`."""
     return ops.where(ops.fabs(u - centre) < width, centre, u)

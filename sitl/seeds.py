@@ -1,7 +1,7 @@
-"""Random generators for every purpose, each from its own branch of the seed.
+"""Random generators, one for each purpose, from separate branches of the seed.
 
-What a world is comes from its seed alone; what differs between flights in one world from seed and flight
-index. Keys are fixed numbers: a purpose added later changes none of the others.
+A world depends on its seed alone. Differences between flights in a world depend on seed and flight index.
+Keys are fixed numbers, so adding a purpose does not change the others.
 """
 
 from __future__ import annotations
@@ -13,7 +13,7 @@ import numpy as np
 
 
 class Purpose(IntEnum):
-    """What a generator is for. The numbers are part of the format: same seed, same bytes."""
+    """Purpose of a generator. The numbers must not change, so that the same seed gives the same bytes."""
 
     KINDS = 0
     SIZES = 1
@@ -32,7 +32,7 @@ _WORLD, _FLIGHT = 0, 1
 
 
 def world_generator(world_seed: int, purpose: Purpose, index: int = 0) -> np.random.Generator:
-    """Return a generator for drawing the world; `index` parts kinds that must not shift each other."""
+    """Return a generator for drawing the world; `index` separates kinds that must not affect each other."""
     return _generator(world_seed, (_WORLD, purpose, index))
 
 
@@ -43,14 +43,14 @@ def flight_generator(world_seed: int, flight: int, purpose: Purpose) -> np.rando
 
 def _generator(seed: int, key: tuple[int, ...]) -> np.random.Generator:
     if seed < 0 or min(key) < 0:
-        raise ValueError(f"seeds and flight indices are not negative, got seed {seed}, key {key}")
+        raise ValueError(f"seeds and flight indices must not be negative, got seed {seed}, key {key}")
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
 def session_uid(world_seed: int, flight: int) -> int:
-    """64 bits, not 0, that name a session and look random.
+    """Return a 64-bit id of a session that looks random and is not 0.
 
-    They do not show the seed, but whoever tries seeds one by one finds a small one.
+    It does not reveal the seed directly, but a small seed can be found by trying.
     """
     digest = hashlib.sha256(f"trimtab session uid, seed {world_seed}, flight {flight}".encode()).digest()
     return int.from_bytes(digest[:8], "little") or 1

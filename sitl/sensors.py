@@ -1,4 +1,4 @@
-"""What vehicle and camera system measure: noise and bias drawn in blocks, so that a tick only adds."""
+"""Measurements of the vehicle and the camera system. Noise and bias are drawn in blocks for speed."""
 
 from __future__ import annotations
 
@@ -15,21 +15,23 @@ from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
-_LEAST_NOISE = 1e-9  # no IMU repeats itself: the vehicle would take it for stuck
-_BOW_PER_M = 0.02  # a tilted camera frame is bowed as well: its tilt changes along the way it leans
+_LEAST_NOISE = 1e-9  # an IMU never repeats a value exactly; the vehicle would take it for stuck
+_BOW_PER_M = 0.02  # a tilted camera frame is also curved: its tilt changes along the direction of the lean
 _SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
-    0.15  # of an undeclared latency: cameras stamped by a busy computer are late by varying amounts
+    0.15  # of an undeclared latency: a busy computer that stamps the poses delays them by varying amounts
 )
 
 
 class Imu:
-    """Noise and bias of gyro, accelerometer and voltage, seven numbers a tick.
+    """Noise and bias of gyro, accelerometer and voltage: seven numbers per tick.
 
     Parameters
     ----------
     settings
-        standard deviations. rng: the flight's generator; the biases are its first draws.
+        Standard deviations.
+    rng
+        Generator of the flight. The biases are its first draws.
     """
 
     def __init__(self, settings: ImuSettings, rng: np.random.Generator) -> None:
@@ -43,9 +45,9 @@ class Imu:
         self.bias = bias * rng.standard_normal(7)
 
     def errors(self) -> Iterator[tuple[float, ...]]:
-        """Yield the errors of one tick after the other, without end: gyro 3, specific force 3, voltage 1.
+        """Yield the errors of each tick without end: gyro 3, specific force 3, voltage 1.
 
-        Drawn in blocks, each used last row first.
+        They are drawn in blocks, and each block is used from its last row.
         """
         while True:
             block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
@@ -62,19 +64,22 @@ class Pose(NamedTuple):
 
 
 class Mocap:
-    """A camera system: poses at a fixed rate, noisy, arriving later than taken, some of them never.
+    """A camera system: noisy poses at a fixed rate that arrive with a delay, or not at all.
 
-    Stamps are honest up to `latency_s`: a pose shows the vehicle as it was that much before its stamp,
-    varying a little from pose to pose. What they show is turned by `tilt`, positions and attitudes, about
-    the origin. `due_us` is when the camera next has work; `ready` holds the poses
-    nobody has read.
+    A pose shows the vehicle `latency_s` before its stamp, with a small variation between poses. Positions and
+    attitudes are rotated about the origin by `tilt`. `due_us` is the next time that `tick` has work; `ready`
+    holds the poses that were not read yet.
 
     Parameters
     ----------
     settings
-        rate, noise, delay, gaps. latency_s: undeclared age of a pose at its stamp.
+        Rate, noise, delay and gaps.
+    latency_s
+        Undeclared age of a pose at its stamp.
     rng
-        the flight's generator. tilt: turn of what is seen about north and east, rad.
+        Generator of the flight.
+    tilt
+        Rotation of the camera frame about north and east, rad.
     """
 
     def __init__(
@@ -93,24 +98,24 @@ class Mocap:
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
         ]
         self._rows: list[list[float]] = []
-        self._seen_us = 0.0
+        self._exposure_us = 0.0
         self._stamp_us = 0
-        self._way: deque[Pose] = deque()
+        self._in_transit: deque[Pose] = deque()
         self.ready: list[Pose] = []
         self._next_exposure()
         self.due_us = self._exposure_due_us
 
     def tick(self, now_us: int, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
-        """Take the exposure that is due and let poses arrive.
+        """Take the exposures that are due, and move arrived poses to `ready`.
 
-        `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; within the tick it moves on evenly.
+        `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; its motion within a tick is uniform.
         """
         while self._exposure_due_us <= now_us:
-            self._expose((self._seen_us - now_us) * 1e-6, pose, rate_frd)
+            self._expose((self._exposure_us - now_us) * 1e-6, pose, rate_frd)
             self._next_exposure()
-        while self._way and self._way[0].arrival_us <= now_us:
-            self.ready.append(self._way.popleft())
-        arrival = self._way[0].arrival_us if self._way else NEVER_US
+        while self._in_transit and self._in_transit[0].arrival_us <= now_us:
+            self.ready.append(self._in_transit.popleft())
+        arrival = self._in_transit[0].arrival_us if self._in_transit else NEVER_US
         self.due_us = min(self._exposure_due_us, arrival)
 
     def read(self) -> list[Pose]:
@@ -119,14 +124,14 @@ class Mocap:
         return ready
 
     def _next_exposure(self) -> None:
-        """Chance of the next frame: when the vehicle is really seen, and at which tick that falls."""
+        """Draw the next frame: its true time of exposure and the tick of that time."""
         if not self._rows:
             self._rows = self._draw()
         self._row = self._rows.pop()
         self._stamp_us += self._period_us
         late = self._latency_us * (1.0 + self._row[6])
-        self._seen_us = max(self._stamp_us - late, 0.0)
-        self._exposure_due_us = int(self._seen_us) // TICK_US * TICK_US
+        self._exposure_us = max(self._stamp_us - late, 0.0)
+        self._exposure_due_us = int(self._exposure_us) // TICK_US * TICK_US
 
     def _expose(self, dt_s: float, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         noise = self._row
@@ -139,12 +144,12 @@ class Mocap:
         p = (p[0] + noise[0], p[1] + noise[1], p[2] + noise[2])
         turn = [dt_s * w + e for w, e in zip(rate_frd, noise[3:6], strict=True)]
         arrival = self._stamp_us + self._settings.delay_us + int(noise[8] * self._settings.delay_jitter_us)
-        if self._way:
-            arrival = max(arrival, self._way[-1].arrival_us)
-        self._way.append(Pose(self._stamp_us, arrival, p, _turned(q, turn)))
+        if self._in_transit:
+            arrival = max(arrival, self._in_transit[-1].arrival_us)
+        self._in_transit.append(Pose(self._stamp_us, arrival, p, _turned(q, turn)))
 
     def _draw(self) -> list[list[float]]:
-        """Rows of position noise 3, attitude noise 3, stamp jitter, two uniform numbers; last one first."""
+        """Return rows of position noise 3, attitude noise 3, jitter, two uniform numbers; last row first."""
         s, rng = self._settings, self._rng
         angle = math.radians(s.attitude_noise_deg)
         normal = rng.standard_normal((_BLOCK, 6)) * ([s.position_noise_m] * 3 + [angle] * 3)
@@ -153,7 +158,7 @@ class Mocap:
 
 
 def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, float, float]:
-    """Return unit quaternion q followed by a small rotation vector in the body, w first."""
+    """Return the unit quaternion q, w first, followed by a small rotation vector in the body."""
     w, x, y, z = q
     a, b, c = (0.5 * angle for angle in turn)
     scale = 1.0 / math.sqrt(1.0 + a * a + b * b + c * c)
@@ -168,7 +173,7 @@ def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, fl
 def _tilted(
     p: Sequence[float], q: Sequence[float], tilt: tuple[float, float]
 ) -> tuple[tuple[float, float, float], list[float]]:
-    """Position and attitude as seen from a frame that leans: both turned by a vector (tilt_x, tilt_y, 0)."""
+    """Return position and attitude in a tilted frame: both rotated by the vector (tilt_x, tilt_y, 0)."""
     size = math.hypot(*tilt)
     lean = (tilt[1] * p[0] - tilt[0] * p[1]) / size
     half = 0.5 * size * (1.0 + _BOW_PER_M * lean)

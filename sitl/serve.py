@@ -1,7 +1,7 @@
-"""A simulated vehicle in real time on a pty, TCP or UDP port, its camera system on a UDP port.
+"""Server of a simulated vehicle in real time on a pty, TCP or UDP port, and of its cameras on a UDP port.
 
-The server is locked to the wall clock and never skips a tick: a machine that falls behind stretches simulated
-time, and every such lateness is counted.
+The server follows the wall clock and never skips a tick. If the machine falls behind, simulated time is
+stretched and an overrun is counted.
 """
 
 from __future__ import annotations
@@ -17,11 +17,11 @@ from urllib.parse import urlsplit
 from trimtab.sitl.ports import Port, ServeError, address_family, host_port, open_port, wall_us
 
 _STEP_US = 2000
-_LATE_US = 20_000  # behind by more than this counts as an overrun and moves the clock
+_LATE_US = 20_000  # a greater delay counts as an overrun and shifts the clock
 
 
 class Served(Protocol):
-    """What the server needs of a vehicle."""
+    """Interface of a vehicle to the server."""
 
     now_us: int
 
@@ -33,7 +33,7 @@ class Served(Protocol):
 
 @dataclass
 class ServeStatistics:
-    """How the serving went: simulated time, times the machine was late, and by how much in all."""
+    """Simulated time, number of overruns, and total stretch of simulated time."""
 
     simulated_us: int = 0
     overruns: int = 0
@@ -49,23 +49,23 @@ def serve(
     realtime: bool = True,
     ready: Callable[[str], None] | None = None,
 ) -> ServeStatistics:
-    """Statistics once `stop` turned true: the vehicle ran against the wall clock, bytes through the port.
+    """Run the vehicle in real time at a port until `stop` returns True, and return the statistics.
 
     Parameters
     ----------
     port
-        "pty" (one client), "tcp:HOST:PORT" (listens, several at a time) or "udp:HOST:PORT" (listens,
-        answers everybody who spoke within the last 10 s).
+        "pty" (one client), "tcp:HOST:PORT" (listens, several clients) or "udp:HOST:PORT" (listens, and
+        answers every peer that has sent something within the last 10 s).
     stop
-        asked every few milliseconds.
+        Called every few milliseconds.
     mocap
-        udp://HOST:PORT that gets one datagram a pose; None: nobody gets them.
+        udp://HOST:PORT that receives one datagram for each pose. None: poses are dropped.
     realtime
-        False runs as fast as the machine allows.
+        If False, run as fast as the machine allows.
     ready
-        called once with the address to open.
+        Called once with the address to open.
 
-    Raises ServeError where port or mocap cannot be opened.
+    Raises ServeError if port or mocap cannot be opened.
     """
     with contextlib.ExitStack() as stack:
         camera = stack.enter_context(contextlib.closing(_Datagrams(mocap)))
@@ -101,7 +101,7 @@ def _loop(
 
 
 class _Datagrams:
-    """Where poses go: a UDP address, or nowhere."""
+    """Destination of poses: a UDP address, or none."""
 
     def __init__(self, url: str | None) -> None:
         self._socket: socket.socket | None = None
@@ -109,11 +109,11 @@ class _Datagrams:
             return
         try:
             parts = urlsplit(url)
-        except ValueError:  # brackets without an end, letters that stand for punctuation
+        except ValueError:  # unclosed brackets, or characters that normalise to punctuation
             parts = None
         if parts is None or parts.scheme != "udp" or not parts.hostname:
             raise ServeError(f"mocap {url}: give it as udp://HOST:PORT")
-        host, number = host_port(parts.netloc, url, least=1)
+        host, number = host_port(parts.netloc, url, lowest=1)
         self._socket = socket.socket(address_family(host), socket.SOCK_DGRAM)
         try:
             self._socket.connect((host, number))
@@ -124,7 +124,7 @@ class _Datagrams:
 
     def send(self, datagram: bytes) -> None:
         if self._socket is not None:
-            with contextlib.suppress(OSError):  # nobody listens, no way there just now: it is lost, as on air
+            with contextlib.suppress(OSError):  # no listener or no route: the datagram is lost
                 self._socket.send(datagram)
 
     def close(self) -> None:

@@ -1,4 +1,4 @@
-"""What acts on the simulated vehicle from outside: floor, air, lines, walls. Forces in NED, of one instant.
+"""External forces on the simulated vehicle: floor, air, lines, walls. Forces are in NED.
 
 `P` holds the constants of `plant_model.PARAMETERS`.
 """
@@ -11,29 +11,29 @@ from typing import Any
 from trimtab.sitl.vectors import Scalar, Vector, cross, dot
 
 GRAVITY_M_S2 = 9.81
-LINE_STRETCH_M = 0.006  # of a payload's line under the payload's weight
+LINE_STRETCH_M = 0.006  # stretch of a payload's line under the payload's weight
 _FRICTION = 0.8
 _SLIP_M_S = 0.05
-_WIND_HEIGHT_M = 1.5  # where a world's wind is given; slower below
+_WIND_HEIGHT_M = 1.5  # height of the stated wind; the wind is slower below
 _WIND_SHEAR = 0.08
 _WIND_FLOOR_M = 0.05
-_JET_M_S = 5.0  # air speed in the middle of a fan's jet
-_JET_LENGTH_M = 1.5  # over which it is felt, either way
-_WALL_NEAREST_M = 0.6  # suction grows no more from here on
-_LINE_DAMPING = 0.3  # of the line along itself, share of critical
+_JET_M_S = 5.0  # air speed at the centre of a fan's jet
+_JET_LENGTH_M = 1.5  # decay length along the jet, in both directions
+_WALL_NEAREST_M = 0.6  # distance below which suction stays constant
+_LINE_DAMPING = 0.3  # axial damping of the line over critical damping
 _PAYLOAD_DRAG = 0.02  # 1/m, over its mass
-_PAYLOAD_SINK_M = 0.003  # into the floor, lying
+_PAYLOAD_SINK_M = 0.003  # depth in the floor under its own weight
 _PAYLOAD_FLOOR_DAMPING = 60.0  # 1/s
 _PAYLOAD_FRICTION = 0.6
 _TRAY_M = 0.02  # below the origin
 _TRAY_FRICTION = 0.01
 _TRAY_SLIP_M_S = 0.005
 _TRAY_DAMPING = 1.5  # 1/s
-_TRAY_STOP = 4000.0  # 1/s^2: the foam at its ends
+_TRAY_STOP = 4000.0  # 1/s^2: stiffness of the foam at its ends
 
 
 def wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
-    """Horizontal velocity of the air in NED: it grows with a low power of height."""
+    """Return the horizontal velocity of the air in NED, which grows with a low power of height."""
     height = ops.maximum(-p[2], _WIND_FLOOR_M)
     shear = ops.exp(_WIND_SHEAR * ops.log(height / _WIND_HEIGHT_M))
     return [shear * component for component in P["wind_ned"]]
@@ -42,7 +42,7 @@ def wind(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
 def floor(
     ops: Any, P: Mapping[str, Any], p: Vector, v: Vector, R: Vector, w: Vector, arms: Sequence[Vector]
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Force in NED and torque in FRD of the floor: a damped spring under each rotor, friction on the body."""
+    """Return the floor's force in NED and torque in FRD: a damped spring under each rotor, and friction."""
     down = R[6:9]
     sway = cross(down, w)  # w x arm, seen along the vertical, is arm . (down x w)
     total: Scalar = 0.0
@@ -63,7 +63,7 @@ def floor(
 
 
 def tether(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
-    """Force of an elastic line from a fixed anchor to the centre of mass; slack below its length."""
+    """Return the force of an elastic line from an anchor to the centre of mass; slack below its length."""
     stiffness, damping, slack, *anchor = P["tether"]
     line = [a - b for a, b in zip(p, anchor, strict=True)]
     length = ops.sqrt(dot(line, line) + 1e-12)
@@ -73,7 +73,7 @@ def tether(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]
 
 
 def fan(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
-    """Force of a jet as tall as the room and gaussian across and along, on a body dragged by it alone."""
+    """Return the drag force of a fan's jet, which is as tall as the room and Gaussian across and along."""
     push, width, x, y, north, east = P["fan"]
     along = (p[0] - x) * north + (p[1] - y) * east
     across = (p[1] - y) * north - (p[0] - x) * east
@@ -85,7 +85,7 @@ def fan(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
 
 
 def wall_suction(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
-    """Force towards an upright wall, with the inverse square of the distance from it."""
+    """Return the force towards a vertical wall, by the inverse square of the distance."""
     pull, distance, north, east = P["wall"]
     gap = ops.maximum(distance - p[0] * north - p[1] * east, _WALL_NEAREST_M)
     force = P["mass_kg"][0] * pull / (gap * gap)
@@ -95,11 +95,11 @@ def wall_suction(ops: Any, P: Mapping[str, Any], p: Vector) -> list[Scalar]:
 def payload(
     ops: Any, P: Mapping[str, Any], hook: Vector, hook_v: Vector, p: Vector, v: Vector, air: Vector
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Acceleration of a mass on a line, and the line's force on the vehicle.
+    """Return the acceleration of a mass on a line, and the line's force on the vehicle.
 
-    The line is a stiff damped spring, slack where shorter than its length; the mass lies on the floor where
-    it comes to it. `hook` and `hook_v` are where the line is tied and how fast that moves, `p` and `v` the
-    mass's own; `air` is the horizontal velocity of the air. All in NED.
+    The line is a stiff damped spring that is slack below its length. The mass may rest on the floor. `hook`
+    and `hook_v` are position and velocity of the attachment, `p` and `v` those of the mass, and `air` is the
+    horizontal velocity of the air, all in NED.
     """
     mass, length, taken = P["payload"]
     line = [a - b for a, b in zip(p, hook, strict=True)]
@@ -117,21 +117,21 @@ def payload(
     stands = GRAVITY_M_S2 / _PAYLOAD_SINK_M * p[2] + _PAYLOAD_FLOOR_DAMPING * v[2]
     press = ops.where(p[2] > 0.0, ops.maximum(stands, 0.0), 0.0)
     slide = _PAYLOAD_FRICTION * press / ops.sqrt(v[0] * v[0] + v[1] * v[1] + _SLIP_M_S * _SLIP_M_S)
-    own = [-slide * v[0], -slide * v[1], GRAVITY_M_S2 - press]
-    a = [o - t - drag * u for o, t, u in zip(own, pull, flow, strict=True)]
+    ground = [-slide * v[0], -slide * v[1], GRAVITY_M_S2 - press]
+    a = [g - t - drag * u for g, t, u in zip(ground, pull, flow, strict=True)]
     return a, [mass * t for t in pull]
 
 
 def battery_slide(
     ops: Any, P: Mapping[str, Any], force: Vector, turning: Vector, s: Scalar, rate: Scalar
 ) -> Scalar:
-    """Acceleration of a battery along its sloping tray, held by a soft strap that hover leaves unstretched.
+    """Return the acceleration of a battery along its sloping tray, held by a strap that is slack at hover.
 
-    `force` is the specific force of the body and `turning` its angular acceleration, in FRD; `s` and `rate`
-    are the way slid and its speed.
+    `force` is the specific force of the body and `turning` its angular acceleration, in FRD. `s` and `rate`
+    are displacement and speed of the battery.
     """
     _, stiffness, along, down, end = P["slide"]
-    felt = (force[0] + turning[1] * _TRAY_M) * along + (force[2] + GRAVITY_M_S2) * down
+    along_tray = (force[0] + turning[1] * _TRAY_M) * along + (force[2] + GRAVITY_M_S2) * down
     rub = _TRAY_FRICTION * GRAVITY_M_S2 * rate / ops.sqrt(rate * rate + _TRAY_SLIP_M_S * _TRAY_SLIP_M_S)
     stop = _TRAY_STOP * (s - ops.minimum(ops.maximum(s, -end), end))
-    return -felt - stiffness * s - _TRAY_DAMPING * rate - rub - stop
+    return -along_tray - stiffness * s - _TRAY_DAMPING * rate - rub - stop

@@ -1,6 +1,6 @@
-"""The flight processor's ticks: how long their work takes, when they begin, which it misses.
+"""Timing of the flight processor's ticks: duration of the work, jitter, and missed ticks.
 
-Drawn in blocks. Most ticks only compare a time; what was measured is summed up when the processor asks.
+They are drawn in blocks, so that most ticks only compare a time. Statistics are computed when they are read.
 """
 
 from __future__ import annotations
@@ -18,10 +18,10 @@ _BLOCK_US = _BLOCK * TICK_US
 
 
 class TickTimes:
-    """Work and jitter of one flight's ticks, the first at time 0.
+    """Work and jitter of the ticks of one flight, the first at time 0.
 
-    Work that takes longer than a tick makes the processor miss those that fall into it. `due_us` is the next
-    time for which `missed` may be true; nobody needs to ask before.
+    If the work takes longer than a tick, the processor misses the ticks during it. `due_us` is the next time
+    at which `missed` may return True; it need not be called before.
     """
 
     def __init__(self, settings: TimingSettings, rng: np.random.Generator) -> None:
@@ -35,7 +35,7 @@ class TickTimes:
         self._begin(0)
 
     def missed(self, now_us: int) -> bool:
-        """Whether the processor is still busy with an earlier tick at `now_us`, a whole tick."""
+        """Return whether the processor is still busy with an earlier tick at `now_us`, the time of a tick."""
         if now_us >= self._start_us + _BLOCK_US:
             self._fold(self._start_us + _BLOCK_US)
             self._begin(now_us)
@@ -47,18 +47,18 @@ class TickTimes:
         return result
 
     def read(self, now_us: int) -> LoopTimes:
-        """Return what the ticks before `now_us` took, since the last call."""
+        """Return the loop times of the ticks since the last call and before `now_us`."""
         if now_us >= self.due_us:
             self.missed(now_us)
         self._fold(now_us)
         mean_us = self._sum_us / self._count if self._count else 0.0
-        found = LoopTimes(math.ceil(self._longest_us), round(mean_us), math.ceil(self._furthest_us))
+        times = LoopTimes(math.ceil(self._longest_us), round(mean_us), math.ceil(self._furthest_us))
         self._longest_us = self._sum_us = self._furthest_us = 0.0
         self._count = 0
-        return found
+        return times
 
     def _begin(self, start_us: int) -> None:
-        """Draws the block of ticks from `start_us` on."""
+        """Draw the block of ticks that starts at `start_us`."""
         s, rng = self._settings, self._rng
         self._start_us = start_us
         work = np.maximum(s.work_us + s.work_spread_us * rng.standard_normal(_BLOCK), 1.0)
@@ -78,7 +78,7 @@ class TickTimes:
         self.due_us = self._missed[-1] if self._missed else start_us + _BLOCK_US
 
     def _miss(self, from_us: int) -> None:
-        """Mark the ticks of this block from one on that fall into work under way; they are run after it."""
+        """Mark the ticks of this block from `from_us` that fall into running work; they run after it."""
         end_us = -(-self._busy_until_us // TICK_US) * TICK_US
         for t_us in range(from_us, min(end_us, self._start_us + _BLOCK_US), TICK_US):
             k = (t_us - self._start_us) // TICK_US
@@ -86,7 +86,7 @@ class TickTimes:
             self._work[k], self._late[k] = 0.0, end_us - t_us
 
     def _fold(self, until_us: int) -> None:
-        """Add the ticks of this block before `until_us` that were not read yet."""
+        """Add the unread ticks of this block before `until_us` to the statistics."""
         first = (max(self._read_us, self._start_us) - self._start_us) // TICK_US
         last = (until_us - self._start_us) // TICK_US
         if last <= first:

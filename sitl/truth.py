@@ -1,4 +1,4 @@
-"""The truth of a simulated session: what the world held. Who writes it decides where; only checks open it."""
+"""The truth of a simulated session: the content of its world. Only checks may open it."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trimtab.sitl.seeds import session_uid
 def truth_record(world: World, flight: int, *, plant: str | None = None) -> dict[str, Any]:
     """Return the truth as plain data: the session's uid, world and seed, effects and deviations.
 
-    `plant` names a foreign plant, whose physics only its author knows; the world's effects then do not act.
+    `plant` is the name of a foreign plant. Its physics is unknown, and the world's effects then do not act.
     """
     return {
         "uid": f"{session_uid(world.seed, flight):016x}",

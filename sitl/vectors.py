@@ -1,4 +1,4 @@
-"""Vectors, rotations and quaternions as lists of scalars of any arithmetic. NED world, FRD body."""
+"""Vectors, rotations and quaternions as lists of scalars of any arithmetic. World NED, body FRD."""
 
 from __future__ import annotations
 
@@ -10,7 +10,7 @@ Vector = Sequence[Scalar]
 
 
 def rotation(q: Vector) -> list[Scalar]:
-    """R_ned_frd, row-major, of a unit quaternion, Hamilton and w first."""
+    """Return R_ned_frd, row-major, of a unit quaternion (Hamilton, w first)."""
     w, x, y, z = q
     xx, yy, zz = 2 * x * x, 2 * y * y, 2 * z * z
     xy, xz, yz = 2 * x * y, 2 * x * z, 2 * y * z
@@ -19,7 +19,7 @@ def rotation(q: Vector) -> list[Scalar]:
 
 
 def quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
-    """Return derivative of a quaternion q_ned_frd under a body rate in FRD."""
+    """Return the derivative of a quaternion q_ned_frd under a body rate in FRD."""
     a, b, c, d = q
     x, y, z = w
     return [
@@ -31,28 +31,28 @@ def quaternion_rate(q: Vector, w: Vector) -> list[Scalar]:
 
 
 def unit(ops: Any, q: Vector) -> list[Scalar]:
-    """Return a quaternion brought back to unit length."""
+    """Return a quaternion normalised to unit length."""
     scale = 1 / ops.sqrt(dot(q, q))
     return [scale * c for c in q]
 
 
 def ahead(y: Vector, slope: Vector, h: float) -> list[Scalar]:
-    """`y` after a time `h` at a constant slope."""
+    """Return `y` after a time `h` at a constant slope."""
     return [a + h * b for a, b in zip(y, slope, strict=True)]
 
 
 def into_world(R: Vector, u: Vector) -> list[Scalar]:
-    """Return a vector in FRD, seen in NED."""
+    """Return the NED components of a vector in FRD."""
     return [R[3 * i] * u[0] + R[3 * i + 1] * u[1] + R[3 * i + 2] * u[2] for i in range(3)]
 
 
 def into_body(R: Vector, u: Vector) -> list[Scalar]:
-    """Return a vector in NED, seen in FRD."""
+    """Return the FRD components of a vector in NED."""
     return [R[i] * u[0] + R[3 + i] * u[1] + R[6 + i] * u[2] for i in range(3)]
 
 
 def symmetric(m: Vector, u: Vector) -> list[Scalar]:
-    """Product of a symmetric tensor, given as xx yy zz xy xz yz, and a vector."""
+    """Return the product of a symmetric tensor, given as xx yy zz xy xz yz, and a vector."""
     xx, yy, zz, xy, xz, yz = m
     return [
         xx * u[0] + xy * u[1] + xz * u[2],
@@ -62,12 +62,12 @@ def symmetric(m: Vector, u: Vector) -> list[Scalar]:
 
 
 def cross(a: Vector, b: Vector) -> list[Scalar]:
-    """Cross product of two 3-vectors."""
+    """Return the cross product of two 3-vectors."""
     return [a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2], a[0] * b[1] - a[1] * b[0]]
 
 
 def dot(a: Vector, b: Vector) -> Scalar:
-    """Scalar product of two vectors."""
+    """Return the scalar product of two vectors."""
     total: Scalar = a[0] * b[0]
     for s, t in zip(a[1:], b[1:], strict=True):
         total = total + s * t
@@ -75,5 +75,5 @@ def dot(a: Vector, b: Vector) -> Scalar:
 
 
 def add(a: Vector, b: Vector) -> list[Scalar]:
-    """Sum of two vectors."""
+    """Return the sum of two vectors."""
     return [s + t for s, t in zip(a, b, strict=True)]

@@ -1,8 +1,7 @@
-"""A whole simulated vehicle: body, sensors, flight and radio processors, ground radio and air, on one clock.
+"""A complete simulated vehicle: plant, sensors, flight and radio processors, ground radio and channel.
 
-Every device has its own tick of a whole number of milliseconds; those that wait for bytes, slots or
-exposures are only called when there are some. Nothing here reads a clock: the same seeds give the same
-bytes.
+Every device ticks on one clock in whole milliseconds. A device that waits for bytes, slots or exposures is
+called only when it has work. Nothing here reads a real clock: the same seeds give the same bytes.
 """
 
 from __future__ import annotations
@@ -41,13 +40,13 @@ from trimtab.sitl.world import RadioSettings, load_world
 HOST_RX_BYTES = 65_536
 HOST_TX_BYTES = 65_536
 TWO_POSES_HZ = 200
-"""From this rate on two poses may share a frame."""
+"""Pose rate from which two poses may share a frame."""
 DEFAULT_WORLD = "empty"
 
 
 @dataclasses.dataclass(frozen=True, kw_only=True)
 class Setting:
-    """What a simulated vehicle is made from; `radio` overrides the world's radio settings by key."""
+    """Everything that a simulated vehicle is built from, apart from the flight index and the memory."""
 
     vehicle: Vehicle
     world: World
@@ -58,9 +57,9 @@ class Setting:
 
 
 class SimulatedVehicle:
-    """A vehicle flown over a serial port and a camera system, in lock-step. Satisfies host.link.Vehicle.
+    """A vehicle with a serial port and a camera system, in lock-step. Satisfies host.link.Vehicle.
 
-    Made by `create`. `now_us` is the time since power-up; `store` the memory on board that outlives it.
+    Use `create` to make one. `now_us` is the time since power-up, `store` the non-volatile memory on board.
     """
 
     def __init__(self, setting: Setting, flight: int, store: ReferenceStore) -> None:
@@ -71,7 +70,7 @@ class SimulatedVehicle:
         self._power_up(flight)
 
     @classmethod
-    def create(  # noqa: PLR0913 (one keyword for each choice)
+    def create(  # noqa: PLR0913 (one keyword for each option)
         cls,
         vehicle: Vehicle,
         *,
@@ -90,24 +89,28 @@ class SimulatedVehicle:
         Parameters
         ----------
         vehicle
-            the vehicle file. world: name or path of a world, `empty` where not given.
+            Content of the vehicle file.
+        world
+            Name or path of a world. Default: `empty`.
         world_seed, flight
-            seeds, not negative; the world comes from the first alone.
+            Non-negative seed and flight index. The world depends on the seed alone.
         plant
-            a foreign plant in place of a world, as path.py:Class. plant_options: path of its TOML.
+            Foreign plant instead of a world, path.py:Class.
+        plant_options
+            Path of the TOML file for the foreign plant.
         start_ned, start_yaw
-            where it stands, m and rad; z 0 is the floor.
+            Initial position, m, and yaw, rad. The floor is at z = 0.
         radio
-            settings that override the world's, by the keys of its `[radio]` table.
+            Settings that override the world's, by the keys of its `[radio]` table.
         memory
-            file of the memory that outlives power cuts; it lasts as long as the object without.
+            File of the non-volatile memory. Without it, the memory lasts as long as the object.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
         if plant is not None and world is not None:
-            raise ConfigurationError(["a foreign plant brings its own physics, leave out world or plant"])
+            raise ConfigurationError(["a foreign plant has its own physics; leave out world or plant"])
         if plant is None and plant_options is not None:
-            raise ConfigurationError(["plant options without a plant, name the plant as path.py:Class"])
+            raise ConfigurationError(["plant options without a plant; name the plant as path.py:Class"])
         name, file = load_world(world if world is not None else DEFAULT_WORLD)
         drawn = draw_world(name, file, world_seed, vehicle)
         if radio:
@@ -128,13 +131,12 @@ class SimulatedVehicle:
             store.flash.close()
             raise
 
-    # What the host sees.
+    # Interface to the host.
 
     def run_until(self, t_us: int) -> int:
-        """Return the time now: `t_us` or, where bytes or poses wait for the host, earlier; at least a tick
-        later.
+        """Run until `t_us`, or until bytes or poses wait for the host, and return the time reached.
 
-        Raises ForeignPlantError where a foreign plant fails.
+        Runs at least one tick if `t_us` lies ahead. Raises ForeignPlantError if a foreign plant fails.
         """
         step, devices, command = self._step, self._devices, self._command
         port, camera = self._host_port, self._camera
@@ -151,16 +153,16 @@ class SimulatedVehicle:
         return now_us
 
     def serial_read(self) -> bytes:
-        """Bytes that have arrived at the host's serial port since the last call."""
+        """Return the bytes that have arrived at the host's serial port since the last call."""
         return self._host_port.read(self.now_us) if self.now_us >= self._host_port.due_us else b""
 
     def serial_write(self, data: bytes) -> None:
-        """Send bytes on the host's serial port, as far as its buffer holds them."""
+        """Send bytes on the host's serial port; bytes that do not fit its buffer are lost."""
         for start in range(0, len(data), HOST_TX_BYTES):
             self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us)
 
     def mocap_read(self) -> list[bytes]:
-        """Datagrams of the camera system that have arrived since the last call, one a pose."""
+        """Return the camera system's datagrams since the last call, one for each pose."""
         if not self._camera.ready:
             return []
         encode = self._camera_codec.encode
@@ -170,15 +172,15 @@ class SimulatedVehicle:
         ]
 
     def power_cycle(self, flight: int) -> None:
-        """Put the vehicle at its start at time 0, for another flight.
+        """Restart the vehicle at its initial position at time 0, for another flight.
 
-        Queues are empty and generators fresh; blobs and parameters on board are kept.
+        Queues are emptied and generators restarted. Blobs and parameters on board are kept.
         """
         self.store = ReferenceStore(self.store.flash)
         self._power_up(flight)
 
     def close(self) -> None:
-        """Close the memory's file, if any."""
+        """Close the file of the memory, if there is one."""
         self.store.flash.close()
 
     def serve(
@@ -190,31 +192,31 @@ class SimulatedVehicle:
         realtime: bool = True,
         ready: Callable[[str], None] | None = None,
     ) -> ServeStatistics:
-        """Statistics once `stop` turned true; see `trimtab.sitl.serve.serve`."""
+        """Run in real time at a port until `stop` returns True; see `trimtab.sitl.serve.serve`."""
         return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
 
     def truth(self) -> dict[str, Any]:
-        """Return what the session hides: world, seed, drawn values, uid. For checks only."""
+        """Return the sealed truth: world, seed, drawn values, uid. For checks only."""
         plant = self._step_owner.name if isinstance(self._step_owner, ForeignPlant) else None
         return truth_record(self._setting.world, self._flight, plant=plant)
 
     def true_position(self) -> tuple[float, float, float]:
-        """Where the vehicle really is, NED. For checks only."""
+        """Return the true position, NED. For checks only."""
         x, y, z = self._pose[0:3]
         return x, y, z
 
     def radio_counts(self) -> dict[str, dict[str, int]]:
-        """Return what happened to the frames in the air, by direction."""
+        """Return the channel's frame counters by direction."""
         return {
             "up": dataclasses.asdict(self._channel.up),
             "down": dataclasses.asdict(self._channel.down),
         }
 
-    def watch_air(self, told: Callable[[int, bytes], None]) -> None:
-        """Call `told` for every frame that leaves a radio, until the next power cycle."""
-        self._channel.watch = told
+    def watch_air(self, on_frame: Callable[[int, bytes], None]) -> None:
+        """Call `on_frame` with time and bytes of every frame sent, until the next power cycle."""
+        self._channel.watch = on_frame
 
-    # Inside.
+    # Internals.
 
     def _power_up(self, flight: int) -> None:
         setting, world = self._setting, self._setting.world
@@ -277,14 +279,14 @@ class SimulatedVehicle:
         return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
 
     def _devices(self, now_us: int) -> None:
-        """Everything but the body, at one instant: camera, radios, then the flight processor."""
+        """Tick all devices except the plant: camera, radios, then the flight processor."""
         camera, channel = self._camera, self._channel
         if now_us >= camera.due_us:
             camera.tick(now_us, self._pose, self._sensed[0:3])
         ground, air = self._ground_radio, self._air_radio
         if now_us >= channel.due_us:
             channel.tick(now_us)
-        # `due_us` of the radios, written out: it is asked for twice a tick.
+        # `due_us` of the radios, inlined for speed.
         if (now_us >= ground.radio_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
             channel.wake(now_us, ground=True)
         if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
@@ -293,13 +295,13 @@ class SimulatedVehicle:
         dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
         timing = self._timing
         if now_us >= timing.due_us and timing.missed(now_us):
-            return  # still busy with an earlier tick: the rotors keep their command
+            return  # still busy with an earlier tick; the motor command stays the same
         self._flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
 
-    # Measuring where the time goes.
+    # Profiling.
 
     def start_profile(self) -> None:
-        """Start to measure the time of each part in `profile`, also over power cycles."""
+        """Start to measure the time spent in each part. Power cycles do not stop this."""
         timers = self._timers = self._timers or {}
         self._step = _timed(self._step_owner.step, "plant", timers)
         self._flight_tick = _timed(self._flight_mcu.tick, "flight processor", timers)
@@ -312,13 +314,13 @@ class SimulatedVehicle:
             device.tick = _timed(type(device).tick.__get__(device), part, timers)
 
     def profile(self) -> dict[str, float]:
-        """Seconds spent in each part since `start_profile`; empty without it."""
+        """Return the seconds spent in each part since `start_profile`; empty without it."""
         return {part: 1e-9 * spent for part, spent in (self._timers or {}).items()}
 
 
 @lru_cache(maxsize=1)
 def traced_law() -> Any:
-    """Return the law as a symbolic function, traced once for all vehicles of the process."""
+    """Return the control law as a symbolic function, traced once for all vehicles of the process."""
     return sx_function(law.step, law.INPUTS, law.OUTPUTS, "flight")
 
 

@@ -1,7 +1,7 @@
-"""World files: what physics, sensors and radio a simulated flight meets, read strictly from TOML.
+"""World files: physics, sensors and radio of a simulated flight, read strictly from TOML.
 
-A world states its effects with values, or which kinds to draw; the seed of the draw is not in the file.
-What is left out keeps the defaults below.
+A world states effects with their values, or kinds of effect to draw. The seed of the draw is not in the file.
+Keys that are left out have the defaults below.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ Spell = tuple[NonNegative, Annotated[float, Field(gt=0.0)]]
 
 
 class Turbulence(Strict):
-    """Ornstein-Uhlenbeck disturbance of the body, drawn a flight."""
+    """Ornstein-Uhlenbeck disturbance of the body, drawn for each flight."""
 
     force_m_s2: NonNegative = 0.04
     """Standard deviation of each axis in NED, as acceleration."""
@@ -40,27 +40,27 @@ class MocapSettings(Strict):
     """The camera system."""
 
     rate_hz: Annotated[int, Field(ge=10, le=250)] = 100
-    """Faster ones would take every slot of the radio's way up."""
+    """A faster system would take every uplink slot of the radio."""
     position_noise_m: NonNegative = 0.001
     attitude_noise_deg: NonNegative = 0.3
     delay_us: MicrosecondsUp = 4000
-    """From exposure to arrival at the host; the stamp is the exposure, so this delay is declared."""
+    """Declared delay: time from exposure, which is the stamp, to arrival at the host."""
     delay_jitter_us: MicrosecondsUp = 500
     dropout: Share = 0.002
     """Share of single poses that never arrive."""
     gaps_s: tuple[Spell, ...] = ()
-    """[start, length] of spells without any pose."""
+    """[start, length] of periods without poses."""
 
     @field_validator("rate_hz")
     @classmethod
     def _divides_tick(cls, value: int) -> int:
         if 1_000_000 % (value * TICK_US):
-            raise ValueError(f"{value} does not divide 1000 ticks a second, choose 50, 100, 125, 200 or 250")
+            raise ValueError(f"{value} does not divide 1000 ticks a second; choose 50, 100, 125, 200 or 250")
         return value
 
 
 class ImuSettings(Strict):
-    """Gyro, accelerometer and voltage measurement: white noise every tick, a bias drawn a flight."""
+    """Gyro, accelerometer and voltage measurement: white noise every tick, a bias drawn for each flight."""
 
     gyro_noise_rad_s: NonNegative = 0.02
     gyro_bias_rad_s: NonNegative = 0.004
@@ -70,38 +70,38 @@ class ImuSettings(Strict):
 
 
 class RadioSettings(Strict):
-    """The channel between the two radios; each direction loses frames on its own."""
+    """The channel between the two radios. Each direction loses frames independently."""
 
     slot_us: Annotated[int, Field(ge=TICK_US, le=3000)] = 2000
-    """Half-duplex slot: one frame of one side. With longer ones control telemetry takes all there are."""
+    """Half-duplex slot for one frame of one radio. With longer slots, control telemetry takes all."""
     frame_bytes: Annotated[int, Field(ge=FRAME_BYTES_MIN, le=FRAME_BYTES)] = FRAME_BYTES
-    """What a frame carries. Longer messages are cut."""
+    """Payload of a frame. Longer messages are split."""
     bit_rate: Annotated[Literal[850_000, 6_800_000] | None, Field(validate_default=True)] = None
-    """bit/s in the air. Where it is left out, a frame takes its slot, however short it is."""
+    """bit/s in the air. Without it, a frame of any length takes its whole slot."""
     loss: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.01
-    """Share of full frames lost in the long run; shorter ones fare better."""
+    """Long-run share of full frames lost; shorter frames are lost less often."""
     burst_frames: Annotated[float, Field(ge=1.0, validate_default=True)] = 5.0
-    """Mean length of a spell of losses (Gilbert-Elliott)."""
+    """Mean length of a burst of losses (Gilbert-Elliott)."""
     short_risk: Share = 0.5
-    """In a spell a full frame is lost; a very short one with this chance, others with one in between."""
+    """Probability that a very short frame is lost in a burst; a full frame always is."""
     latency_us: MicrosecondsUp = 3000
-    """From the end of the frame to delivery."""
+    """Time from the end of the frame to delivery."""
     jitter_us: MicrosecondsUp = 1000
-    """Largest addition to the latency, uniform. More than a slot, and frames overtake each other."""
+    """Greatest addition to the latency, uniform. Beyond one slot, frames overtake each other."""
     duplicate: Share = 0.002
     corrupt: Share = 0.001
     """Share of frames delivered with flipped bits."""
     cuts_s: tuple[Spell, ...] = ()
-    """[start, length] of spells in which nothing passes either way."""
+    """[start, length] of periods in which no frame passes in either direction."""
 
     @field_validator("burst_frames")
     @classmethod
     def _long_enough_for_loss(cls, value: float, info: ValidationInfo) -> float:
-        # Between two spells at least one frame passes, so spells of n lose at most n of n + 1 frames.
-        loss, most = info.data.get("loss", 0.0), value / (value + 1.0)
-        if loss > most:
+        # At least one frame passes between two bursts, so bursts of n lose at most n of n + 1 frames.
+        loss, loss_max = info.data.get("loss", 0.0), value / (value + 1.0)
+        if loss > loss_max:
             raise ValueError(
-                f"spells of {value:g} frames lose at most {most:.4g} of all, lower loss {loss:g} "
+                f"bursts of {value:g} frames lose at most {loss_max:.4g} of all; lower loss {loss:g} "
                 f"or give at least {loss / (1.0 - loss):.4g}"
             )
         return value
@@ -114,7 +114,7 @@ class RadioSettings(Strict):
             return value
         if (needed_us := air_us(size, value)) > slot_us:
             raise ValueError(
-                f"a frame of {size} B takes {needed_us} us at {value} bit/s and slot_us is {slot_us}, "
+                f"a frame of {size} B takes {needed_us} us at {value} bit/s and slot_us is {slot_us}; "
                 "give a longer slot, a higher rate or smaller frame_bytes"
             )
         return value
@@ -123,7 +123,7 @@ class RadioSettings(Strict):
     @classmethod
     def _whole_ticks(cls, value: int) -> int:
         if value % TICK_US:
-            raise ValueError(f"{value} is not a whole number of {TICK_US} us ticks")
+            raise ValueError(f"{value} is not a multiple of the tick of {TICK_US} us; give one")
         return value
 
 
@@ -132,60 +132,60 @@ class SerialSettings(Strict):
 
     baud: Literal[921_600, 3_000_000] = 921_600
     chunk_bytes: Annotated[int, Field(ge=1, le=65_536)] | None = None
-    """A processor is interrupted when so many bytes have come: half its receive buffer where left out."""
+    """Number of received bytes that interrupts a processor. Default: half its receive buffer."""
     idle_us: MicrosecondsUp = 0
-    """Or when its line has been quiet for so long."""
+    """Idle time of the line that also interrupts a processor."""
 
 
 class TimingSettings(Strict):
-    """The flight processor's tick of 1 ms, drawn a flight. Work that takes longer makes the next one late."""
+    """The flight processor's tick of 1 ms, drawn for each flight. Longer work delays the next tick."""
 
     work_us: NonNegative = 320.0
-    """Mean time that a tick's work takes."""
+    """Mean duration of a tick's work."""
     work_spread_us: NonNegative = 25.0
-    """Standard deviation of it."""
+    """Standard deviation of the duration."""
     jitter_us: Annotated[float, Field(ge=0.0, lt=TICK_US)] = 5.0
-    """Furthest that a tick begins from when it is due, uniform."""
+    """Greatest deviation of a tick's start, uniform."""
     overrun: Annotated[float, Field(ge=0.0, le=0.5)] = 0.0
     """Share of ticks whose work takes longer than a tick."""
     overrun_us: Annotated[int, Field(gt=TICK_US, le=1_000_000)] = 3000
-    """Longest that such a tick's work takes, uniform from 1 ms."""
+    """Greatest duration of such work, uniform from 1 ms."""
 
 
 class Draw(Strict):
-    """Which effects to draw from the seed."""
+    """Effects to draw from the seed."""
 
     count: tuple[Annotated[int, Field(ge=0)], Annotated[int, Field(ge=0)]]
-    """Fewest and most kinds."""
+    """Smallest and greatest number of kinds."""
     kinds: Annotated[tuple[str, ...], Field(min_length=1, validate_default=True)] = tuple(
         k.name for k in KINDS.values() if not k.outside
     )
     size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]] = (0.5, 2.0)
-    """Smallest and largest multiple of the typical size."""
+    """Smallest and greatest multiple of the typical size."""
 
     @field_validator("kinds")
     @classmethod
     def _known_and_enough(cls, value: tuple[str, ...], info: ValidationInfo) -> tuple[str, ...]:
         unknown = [name for name in value if name not in KINDS]
         if unknown:
-            raise ValueError(f"unknown {', '.join(unknown)}, choose from {', '.join(KINDS)}")
+            raise ValueError(f"unknown {', '.join(unknown)}; choose from {', '.join(KINDS)}")
         if len(set(value)) < len(value):
-            raise ValueError("a kind is named twice, name each once")
-        most = info.data.get("count", (0, 0))[1]
-        if most > len(value):
-            raise ValueError(f"count asks for up to {most} of {len(value)}, lower it or name more")
+            raise ValueError("a kind is named twice; name each once")
+        count_max = info.data.get("count", (0, 0))[1]
+        if count_max > len(value):
+            raise ValueError(f"count is up to {count_max} of {len(value)} kinds; lower it or name more")
         return value
 
     @field_validator("count", "size")
     @classmethod
     def _ordered(cls, value: tuple[float, float]) -> tuple[float, float]:
         if value[0] > value[1]:
-            raise ValueError(f"{list(value)} is not an interval, give [low, high]")
+            raise ValueError(f"{list(value)} is not an interval; give [low, high]")
         return value
 
 
 def _effect_tables() -> type[Strict]:
-    """Return a model with one optional table a kind, every number of it mandatory and bounded."""
+    """Return a model with one optional table for each kind, whose values are mandatory and bounded."""
     tables: dict[str, Any] = {}
     for name, kind in KINDS.items():
         fields: dict[str, Any] = {
@@ -204,11 +204,11 @@ else:
 
 
 class WorldFile(Strict):
-    """A world as its file states it."""
+    """Content of a world file."""
 
     description: str
     tolerances: bool
-    """Whether the build deviates from the vehicle file within its tolerances, drawn from the seed."""
+    """Whether the build deviates from the vehicle file within its tolerances. Drawn from the seed."""
     effects: Effects = Effects()
     draw: Draw | None = None
     turbulence: Turbulence = Turbulence()
@@ -228,7 +228,7 @@ class WorldFile(Strict):
     def _wind_needs_drag(cls, value: Effects) -> Effects:
         stated = _stated(value)
         if "wind" in stated and not set(stated) & set(DRAG):
-            raise ValueError(f"wind acts only through drag, add {' or '.join(DRAG)}")
+            raise ValueError(f"wind acts only through drag; add {' or '.join(DRAG)}")
         return value
 
     @field_validator("draw")
@@ -238,9 +238,9 @@ class WorldFile(Strict):
             return value
         stated, drawn = set(_stated(info.data["effects"])), set(value.kinds)
         if twice := sorted(stated & drawn):
-            raise ValueError(f"{', '.join(twice)} both in effects and in draw.kinds, leave out one")
+            raise ValueError(f"{', '.join(twice)} both in effects and in draw.kinds; leave out one")
         if drawn == {"wind"} and not stated & set(DRAG):
-            raise ValueError(f"kinds holds wind without a drag, add {' or '.join(DRAG)}")
+            raise ValueError(f"kinds has wind without a drag; add {' or '.join(DRAG)}")
         return value
 
 
@@ -251,9 +251,9 @@ def _stated(effects: Effects) -> dict[str, dict[str, float]]:
 
 
 def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:
-    """Name and content of a world: a path to a TOML, or the name of a shipped one.
+    """Return name and content of a world, given by the path of a TOML file or the name of a shipped world.
 
-    Raises ConfigurationError (exit code 2) where no such file is, or with everything wrong in it.
+    Raises ConfigurationError (exit code 2) if there is no such file, or with every problem in it.
     """
     shipped = list_worlds()
     text = str(name_or_path)
@@ -262,19 +262,19 @@ def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:
     elif text.endswith(".toml") or "/" in text:
         path = Path(text)
         if not path.is_file():
-            raise ConfigurationError([f"{text}: no such world file, check the path"])
+            raise ConfigurationError([f"{text}: no such world file; check the path"])
     else:
         raise ConfigurationError(
-            [f"{text}: no such world, known: {', '.join(shipped)}; or give a path to a .toml"]
+            [f"{text}: no such world (known: {', '.join(shipped)}); give one or a path to a .toml"]
         )
     try:
         content = path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
-        raise ConfigurationError([f"{text}: cannot be read ({error}), check the file"]) from None
+        raise ConfigurationError([f"{text}: cannot be read ({error}); check the file"]) from None
     return path.stem, read_strict(content, text, WorldFile)
 
 
 def list_worlds() -> dict[str, Path]:
-    """Name to file of every shipped world, sorted by name."""
+    """Return the files of all shipped worlds by sorted name."""
     folder = Path(str(files("trimtab.sitl") / "worlds"))
     return {path.stem: path for path in sorted(folder.glob("*.toml"))}

@@ -1,1 +1,1 @@
-"""Ground floor of the host: errors with exit codes, output, progress, artefacts, resumable studies."""
+"""Foundations of the host: errors with exit codes, output, progress, artefacts, resumable studies."""

@@ -1,4 +1,4 @@
-"""Files that verbs leave behind: written whole or not at all, never over another one; provenance."""
+"""Output files: written completely or not at all, without overwriting others; and their provenance."""
 
 from __future__ import annotations
 
@@ -16,54 +16,54 @@ from typing import Any, BinaryIO
 from trimtab.host.base.errors import UsageError
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
-"""What the system says where a file cannot be written to its end: for the user to mend, no bug."""
+"""Error numbers for a file that cannot be written completely. The user can fix these; they are not bugs."""
 LOG_SUFFIX = ".mcap"
 SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
-"""Options that tell what a simulated world holds: left out of every provenance."""
+"""Options that reveal the content of a simulated world. Every provenance leaves them out."""
 
 
 def content_id(content: bytes) -> str:
-    """First 12 hex digits of the SHA-256 of an artefact's content (without its provenance)."""
+    """Return the first 12 hex digits of the SHA-256 of an artefact's content (without its provenance)."""
     return hashlib.sha256(content).hexdigest()[:12]
 
 
 def check_output(path: str | Path, force: bool = False) -> Path:
-    """`path` as one that may be written. Call it before the work starts.
+    """Check that the file `path` can be written, and return it. Call this before the work starts.
 
-    Raises UsageError where its folder is missing or read-only, it is a folder, or it exists and `force` is
+    Raises UsageError if its folder is missing or read-only, if it is a folder, or if it exists and `force` is
     not set.
     """
     target = Path(path)
     _check_parent(target)
     if target.is_dir():
-        raise UsageError(f"{path}: is a folder, give a file name")
+        raise UsageError(f"{path}: is a folder; give a file name")
     if target.exists() and not force:
-        raise UsageError(f"{path}: exists, choose another name or add --force")
+        raise UsageError(f"{path}: exists; choose another name or add --force")
     return target
 
 
 def check_log(path: str | Path, force: bool = False) -> Path:
-    """`path` as a flight log that may be written, as `check_output` says it.
+    """Check that the flight log `path` can be written, like `check_output`, and return it.
 
-    Raises UsageError too where its name is not that of a log, or where a killed flight left what can be
-    recovered of it and `force` is not set.
+    Raises UsageError also if its name does not end in `.mcap`, or if an interrupted flight left a file that
+    can be recovered and `force` is not set.
     """
     if Path(path).suffix != LOG_SUFFIX:
-        raise UsageError(f"{path}: a flight log's name ends in {LOG_SUFFIX}")
+        raise UsageError(f"{path}: give the flight log a name that ends in {LOG_SUFFIX}")
     target = check_output(path, force)
     partial = target.with_name(target.name + ".part")
     if partial.exists() and not force:
         raise UsageError(
-            f"{partial}: a flight was cut short there, run `trimtab log recover {path}` and remove it, "
+            f"{partial}: the log of an interrupted flight; run `trimtab log recover {path}` and remove it, "
             "choose another name or add --force"
         )
     return target
 
 
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
-    """`path` as a folder that `names` may be written in; it is made when there is something to write.
+    """Check that files `names` can be written in the folder `path`, and return it. Does not make the folder.
 
-    Raises UsageError where its own folder is missing or read-only, it is a file, or a name exists and `force`
+    Raises UsageError if its parent is missing or read-only, if it is a file, or if a name exists and `force`
     is not set.
     """
     folder = Path(path)
@@ -71,26 +71,26 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
         for name in names:
             check_output(folder / name, force)
     elif folder.exists():
-        raise UsageError(f"{path}: is a file, give a folder's name")
+        raise UsageError(f"{path}: is a file; give a folder")
     else:
         _check_parent(folder)
     return folder
 
 
 def _check_parent(path: Path) -> None:
-    """Raise UsageError where nothing can be made beside `path`."""
+    """Raise UsageError if the folder of `path` does not exist or cannot be written to."""
     if not path.parent.is_dir():
-        raise UsageError(f"{path}: its folder does not exist, make it or choose another name")
+        raise UsageError(f"{path}: its folder does not exist; make it or choose another name")
     if not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=True):
-        raise UsageError(f"{path}: its folder cannot be written to, choose another one")
+        raise UsageError(f"{path}: its folder cannot be written to; choose another one")
 
 
 @contextlib.contextmanager
 def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
-    """Yield a binary file that appears under `path` when the block ends, and never where the block raises.
+    """Yield a binary file that appears as `path` when the block ends without an error.
 
-    Until then it is `path`.part. Raises UsageError as `check_output` does, OSError with the file's name where
-    it cannot be written.
+    Until then, its name is `path`.part. Raises UsageError like `check_output`, or OSError with the name of
+    the file if it cannot be written.
     """
     target = check_output(path, force)
     partial = target.with_name(target.name + ".part")
@@ -103,24 +103,24 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
         with contextlib.suppress(OSError):
             partial.unlink(missing_ok=True)
         if isinstance(error, OSError) and (error.errno in NO_ROOM or error.filename == str(partial)):
-            error.filename = str(target)  # write() says none, open() one that is nobody's business
+            error.filename = str(target)  # write() gives no name, open() that of the temporary file
         raise
 
 
 def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:
-    """Return the path written: the whole content under its final name, or nothing. Raises UsageError."""
+    """Write the complete content to `path` or nothing, and return the path. Raises UsageError."""
     with open_atomic(path, force) as file:
         file.write(content.encode() if isinstance(content, str) else content)
     return Path(path)
 
 
 def version() -> str:
-    """Trimtab's version, as installed."""
+    """Return the installed version of Trimtab."""
     return metadata.version("trimtab")
 
 
 def git_state() -> str | None:
-    """Commit of the checkout this code runs from, with -dirty where files differ; None outside of one."""
+    """Return the commit of the checkout of this code, with -dirty for changes; None outside a checkout."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
@@ -133,49 +133,50 @@ def git_state() -> str | None:
 
 
 def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequence[str] = ()) -> list[str]:
-    """`words` of a command line without these options and their values, in every spelling that is taken.
+    """Return the words of a command line without these options and their values, in every accepted spelling.
 
-    A long option may be spelt with underscores for hyphens, a short one may have its value glued to it.
+    A long option may have underscores instead of hyphens, and a short one may be joined to its value.
     """
-    kept = []
-    rest = iter(words)
-    for word in rest:
-        option, glued, _ = word.partition("=")
+    remaining = []
+    words_iterator = iter(words)
+    for word in words_iterator:
+        option, joined, _ = word.partition("=")
         if option.startswith("--"):
             option = option.replace("_", "-")
         elif option.startswith("-"):
-            option, glued = option[:2], glued or option[2:]
+            option, joined = option[:2], joined or option[2:]
         if option in with_value:
-            if not glued:
-                next(rest, None)
+            if not joined:
+                next(words_iterator, None)
         elif option not in flags:
-            kept.append(word)
-    return kept
+            remaining.append(word)
+    return remaining
 
 
 def public_command(argv: Sequence[str] | None = None) -> str:
-    """Return the command line without what the seal forbids and without absolute paths.
+    """Return the command line without sealed options and absolute paths.
 
-    World, plant, their options and seeds are left out, for `demo` its seed too; a path keeps its last part.
+    World, plant, their options and seeds are left out; for `demo`, also its seed. Of a path, only the last
+    part remains.
     """
     words = list(sys.argv[1:] if argv is None else argv)
     sealed = SEALED_OPTIONS + (("--seed",) if words[:1] == ["demo"] else ())
-    kept = ["trimtab"]
+    public = ["trimtab"]
     for word in without_options(words, sealed):
         option, equals, value = word.partition("=")
         if equals and option.startswith("-"):
-            kept.append(f"{option}={_without_folder(value)}")
+            public.append(f"{option}={_without_folder(value)}")
         else:
-            kept.append(_without_folder(word))
-    return " ".join(kept)
+            public.append(_without_folder(word))
+    return " ".join(public)
 
 
 def provenance(
     *, seed: int | None = None, parents: Mapping[str, str] | None = None, argv: Sequence[str] | None = None
 ) -> dict[str, Any]:
-    """Where an artefact comes from: version, git state, command, host seed, and its parents' ids by role.
+    """Return the provenance of an artefact: version, git state, command, host seed, and parents' ids by role.
 
-    No wall-clock time, no absolute path, nothing that the seal forbids.
+    It contains no wall-clock time, no absolute path and nothing that is sealed.
     """
     return {
         "version": version(),
@@ -187,5 +188,5 @@ def provenance(
 
 
 def _without_folder(word: str) -> str:
-    """Return the last part of an absolute path, any other word as it is."""
+    """Return the last part of an absolute path, or any other word unchanged."""
     return Path(word).name if os.path.isabs(word) and len(word) > 1 else word

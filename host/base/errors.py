@@ -1,7 +1,7 @@
-"""Errors that a user can do something about, each with the exit code of its kind.
+"""Errors that a user can resolve, each with an exit code.
 
 The message says in one line what is wrong and what to do. Every such error of the host and the simulator
-derives from `TrimtabError`; each package defines its own beside the code that raises it.
+derives from `TrimtabError`. Packages define further ones beside the code that raises them.
 """
 
 from __future__ import annotations
@@ -27,18 +27,18 @@ INTERRUPTED = 130
 
 
 class TrimtabError(Exception):
-    """An error with an exit code. Its text is shown as it is; with `--json`, `details` join the object."""
+    """An error with an exit code. Its text is shown unchanged; with `--json`, `details` join the object."""
 
     exit_code: int = 1
     details: Mapping[str, Any] = MappingProxyType({})
 
 
 class GateMissed(TrimtabError):
-    """The work was done and its result is below what was asked for."""
+    """The work was done, but its result misses the required quality."""
 
 
 class Refused(TrimtabError):
-    """A plan is infeasible or the vehicle refused it; the text names node and reason."""
+    """A plan is infeasible or the vehicle refused it. The text gives node and reason."""
 
 
 class FlightFailed(TrimtabError):
@@ -46,22 +46,22 @@ class FlightFailed(TrimtabError):
 
 
 class UsageError(TrimtabError):
-    """Arguments, files or data that cannot be used as given."""
+    """Arguments, files or data cannot be used."""
 
     exit_code = 2
 
 
 class LinkError(TrimtabError):
-    """No vehicle at the port, or one that speaks another dialect."""
+    """There is no vehicle at the port, or one that speaks another dialect."""
 
     exit_code = 3
 
 
 class SolverError(TrimtabError):
-    """A solver gave up; the text says in which state."""
+    """A solver gave up. The text gives its state."""
 
     exit_code = 4
 
 
 SESSION_ERRORS = (FlightFailed, LinkError, Refused, UsageError)
-"""What a session with a vehicle ends with on purpose; anything else that happens in flight lands it first."""
+"""Errors that end a session immediately. After any other error in flight, the vehicle lands first."""

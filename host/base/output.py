@@ -1,4 +1,4 @@
-"""What a verb says on stdout: lines for people, and with --json one object as the last line."""
+"""Output of a verb on stdout: lines of text and, with --json, one object as the last line."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ from typing import Any
 
 _emitted = False
 _NARROWEST = 20
-"""Columns; in fewer the help cannot be set at all."""
+"""Columns. The help cannot be formatted in fewer."""
 
 
 def prepare() -> None:
-    """Make the standard streams safe to write to, whatever the shell has made of them.
+    """Make the standard streams safe to write to, and reset the state of `emitted`.
 
-    One that is closed goes nowhere; letters that stdout's encoding lacks are written as their numbers; a
-    terminal that calls itself too narrow for any text is taken for one of 20 columns. No JSON has been said.
+    A closed stream is replaced by the null device. Characters that stdout cannot encode are written as escape
+    sequences. A terminal with fewer than 20 columns is treated as one of 20.
     """
     global _emitted
     _emitted = False
-    while (unused := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest number that is free
+    while (unused := os.open(os.devnull, os.O_RDWR)) <= 2:  # the lowest free number
         pass
     os.close(unused)
     if sys.stdout is None:
@@ -38,15 +38,15 @@ def prepare() -> None:
 
 
 def json_text(result: Mapping[str, Any]) -> str:
-    """Return `result` as one line of JSON. Numpy scalars and arrays become numbers and lists, paths texts.
+    """Return `result` as one line of JSON. NumPy scalars and arrays become numbers and lists, paths strings.
 
-    Absent is None: raises ValueError on NaN or infinity.
+    Absent values must be None: raises ValueError on NaN or infinity.
     """
     return json.dumps(result, allow_nan=False, default=_plain)
 
 
 def emit(result: Mapping[str, Any], as_json: bool) -> None:
-    """Print `result` as one line of JSON where `as_json`, else nothing. Call it last, once."""
+    """Print `result` as one line of JSON if `as_json`, else nothing. Call this once, at the end."""
     global _emitted
     if as_json:
         text = json_text(result)
@@ -56,28 +56,28 @@ def emit(result: Mapping[str, Any], as_json: bool) -> None:
 
 
 def say(*lines: str) -> None:
-    """Print lines for people to stdout."""
+    """Print lines of text to stdout."""
     for line in lines:
         sys.stdout.write(line + "\n")
     sys.stdout.flush()
 
 
 def warn(line: str) -> None:
-    """Print one line to stderr, where anybody takes it."""
+    """Print one line to stderr. If stderr cannot be written, do nothing."""
     try:
         sys.stderr.write(f"trimtab: {line}\n")
         sys.stderr.flush()
-    except OSError:  # the terminal has gone; what is still held would trouble the interpreter's end
+    except OSError:  # the terminal has closed; discard the rest, so that the final flush does not fail
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())
 
 
 def emitted() -> bool:
-    """Whether this run has printed its JSON object."""
+    """Return whether this run has printed its JSON object."""
     return _emitted
 
 
 def _plain(value: Any) -> Any:
-    """Return a value that json does not know as one it knows."""
+    """Return a value of another type as one that the json module can encode."""
     if isinstance(value, Path):
         return str(value)
     if isinstance(value, Mapping):

@@ -1,7 +1,4 @@
-"""Run a study as pieces that do not depend on each other.
-
-Each piece leaves a file, so an interrupted study resumes.
-"""
+"""Studies as independent pieces. Each piece writes a file, so an interrupted study resumes."""
 
 from __future__ import annotations
 
@@ -20,14 +17,15 @@ from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
 
-ORDER, PIECES = "study.json", "pieces"
+CONFIG, PIECES = "study.json", "pieces"
 
-Report = Callable[[float, float, str], None]
+OnProgress = Callable[[float, float, str], None]
+"""Called with the work done, the total, and a detail text."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Piece:
-    """One part of a study, named as the file that it leaves; `weight` is its share of the work."""
+    """One part of a study. `name` is also the name of its file; `weight` is its share of the work."""
 
     name: str
     kind: str
@@ -39,14 +37,14 @@ Work = Callable[[Piece, str], Any]
 """Compute the result of a piece, as plain data, from the piece and the study's folder. It can be pickled."""
 
 
-def claim(folder: Path, order: Mapping[str, Any]) -> None:
+def claim(folder: Path, config: Mapping[str, Any]) -> None:
     """Record which study the folder holds. Raises UsageError if it holds another one."""
-    path = folder / ORDER
+    path = folder / CONFIG
     if not path.is_file():
-        write_atomic(path, json_text(order), force=True)
+        write_atomic(path, json_text(config), force=True)
         return
-    before = json.loads(path.read_text("utf-8"))
-    different = [key for key in order if before.get(key) != order[key]]
+    recorded = json.loads(path.read_text("utf-8"))
+    different = [key for key in config if recorded.get(key) != config[key]]
     if different:
         raise UsageError(
             f"{folder}: holds a study with another {', '.join(different)}; choose another folder with -o"
@@ -55,12 +53,14 @@ def claim(folder: Path, order: Mapping[str, Any]) -> None:
 
 @contextmanager
 def alone_in(folder: Path) -> Iterator[None]:
-    """Hold the folder for this process. Raises UsageError if another one has it."""
+    """Lock the folder for this process. Raises UsageError if another process has locked it."""
     with (folder / "lock").open("w") as file:
         try:
             fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except OSError:
-            raise UsageError(f"{folder}: a study runs there already") from None
+            raise UsageError(
+                f"{folder}: another study is running in this folder; wait or choose another one"
+            ) from None
         yield
 
 
@@ -69,39 +69,39 @@ def run_pieces(
     work: Work,
     *,
     folder: Path,
-    order: Mapping[str, Any],
+    config: Mapping[str, Any],
     jobs: int,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """Return the result of every piece, by name; compute those that have no file yet.
+    """Compute every piece that has no file yet. Return the results of all pieces by name.
 
-    `order` identifies the study that the folder holds. Raises UsageError if it holds another one.
+    `config` identifies the study that the folder holds. Raises UsageError if it holds another one.
     """
     (folder / PIECES).mkdir(parents=True, exist_ok=True)
-    claim(folder, order)
+    claim(folder, config)
     total = sum(piece.weight for piece in pieces)
     waiting = [piece for piece in pieces if not _file(folder, piece).is_file()]
     done = total - sum(piece.weight for piece in waiting)
-    report(done, total, "")
+    on_progress(done, total, "")
     if waiting:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
             running = {
-                pool.submit(_leave, work, piece, str(folder)): piece
+                pool.submit(_write_result, work, piece, str(folder)): piece
                 for piece in sorted(waiting, key=lambda piece: -piece.weight)
             }
             try:
                 for future in as_completed(running):
                     future.result()
                     done += running[future].weight
-                    report(done, total, running[future].name)
+                    on_progress(done, total, running[future].name)
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
     return {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
 
 
-def _leave(work: Work, piece: Piece, folder: str) -> None:
+def _write_result(work: Work, piece: Piece, folder: str) -> None:
     """Write the result of a piece to its file."""
     write_atomic(_file(Path(folder), piece), json_text({"result": work(piece, folder)}), force=True)
 

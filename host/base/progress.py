@@ -1,4 +1,4 @@
-"""Progress with an estimate of the time left: on stderr, and only where that is a terminal."""
+"""Progress bar with an estimate of the remaining time, on stderr and only on a terminal."""
 
 from __future__ import annotations
 
@@ -12,9 +12,9 @@ if TYPE_CHECKING:
 
 
 class Progress:
-    """One bar. Without a terminal every call does nothing, so callers never ask. NO_COLOR is honoured.
+    """A progress bar. Without a terminal, every call does nothing. NO_COLOR is honoured.
 
-    `total` None shows a bar that only moves; `detail` is a short text beside it.
+    With `total` None, the bar only moves. `detail` is a short text beside the bar.
     """
 
     def __init__(self, title: str, total: float | None = None, *, enabled: bool | None = None) -> None:
@@ -52,7 +52,7 @@ class Progress:
         self._bar = self._task = None
 
     def advance(self, amount: float = 1.0, detail: str | None = None) -> None:
-        """Move the bar on by `amount`."""
+        """Advance the bar by `amount`."""
         if self._bar is not None and self._task is not None:
             fields: dict[str, Any] = {} if detail is None else {"detail": detail}
             self._bar.update(self._task, advance=amount, **fields)

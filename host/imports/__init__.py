@@ -1,6 +1,4 @@
-"""Foreign flight logs brought into the project's own: frames, units and clocks are converted here and
-nowhere else.
-"""
+"""Import of foreign flight logs. Frames, units and clocks are converted here and nowhere else."""
 
 from trimtab.host.imports.recording import ImportFormatError, Recording
 

@@ -1,4 +1,4 @@
-"""When a foreign vehicle was clear of the ground, from its poses and, where recorded, its inputs."""
+"""Detection of the time that a foreign vehicle was airborne, from its poses and any recorded inputs."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ import numpy as np
 from trimtab.host.imports.recording import Recording, TooShort
 
 CLEAR_M = 0.15
-"""Height above the ground from which a vehicle counts as clear of it."""
+"""Height above the ground from which a vehicle counts as airborne."""
 
 EDGE_US = 500_000
-"""Left out after take-off and before landing: ground effect, and a controller that settles."""
+"""Time left out after take-off and before landing, because of ground effect and a settling controller."""
 
 SHORTEST_US = 2_000_000
 
@@ -20,11 +20,10 @@ _POWERED = 0.3
 
 
 def airborne(recording: Recording) -> tuple[int, int]:
-    """Begin and end in us of the longest time clear of the ground.
+    """Return begin and end, us, of the longest time in the air.
 
-    The ground is the lowest height, where the vehicle rests there with its motors off; a log that never
-    shows that was recorded in the air from its first row to its last. Raises TooShort where less
-    than two seconds are left.
+    The ground is the lowest height, provided that the vehicle rests there with its motors off. A log in which
+    it never does counts as airborne throughout. Raises TooShort if less than two seconds remain.
     """
     t_us = recording.pose_us
     height = -recording.p_ned[:, 2]
@@ -43,14 +42,14 @@ def airborne(recording: Recording) -> tuple[int, int]:
     begin, end = max(spans, key=lambda span: span[1] - span[0], default=(0, 0))
     if end - begin < SHORTEST_US:
         raise TooShort(
-            f"{recording.source}: clear of the ground for {max(end - begin, 0) * 1e-6:.1f} s, of which "
+            f"{recording.source}: airborne for {max(end - begin, 0) * 1e-6:.1f} s, but "
             f"{SHORTEST_US * 1e-6:g} s are needed; import a longer flight"
         )
     return begin, end
 
 
 def _runs(flying: np.ndarray, t_us: np.ndarray) -> list[tuple[int, int]]:
-    """First row and row behind the last of each time in the air; a break too short for a landing is none."""
+    """Return (first row, row after the last) of each time in the air, joined over short breaks."""
     edges = np.flatnonzero(np.diff(np.r_[False, flying, False].astype(int)))
     runs: list[tuple[int, int]] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
@@ -61,26 +60,26 @@ def _runs(flying: np.ndarray, t_us: np.ndarray) -> list[tuple[int, int]]:
 
 
 def _powered(recording: Recording) -> np.ndarray | None:
-    """Whether each pose falls where the rotors push, (n,); None without recorded inputs."""
+    """Return whether the rotors produce thrust at each pose (n,); None without recorded inputs."""
     if recording.motor_command is not None:
-        push = recording.motor_command.mean(axis=1)
+        thrust = recording.motor_command.mean(axis=1)
     elif recording.thrust_n is not None:
-        push = recording.thrust_n
+        thrust = recording.thrust_n
     else:
         return None
     assert recording.input_us is not None
-    full = float(np.quantile(push, 0.9))
+    full = float(np.quantile(thrust, 0.9))
     if full <= 0.0:
         return np.zeros(len(recording.pose_us), dtype=bool)
-    # A moment of cut thrust in flight is no landing: the greatest push within a rest's length counts.
+    # Thrust may be cut briefly in flight, so the maximum over the duration of a rest counts.
     width = max(1, round(_REST_US / float(np.median(np.diff(recording.input_us)))))
-    padded = np.pad(push, (width // 2, width - 1 - width // 2), mode="edge")
+    padded = np.pad(thrust, (width // 2, width - 1 - width // 2), mode="edge")
     greatest = np.lib.stride_tricks.sliding_window_view(padded, width).max(axis=1)
     return np.interp(recording.pose_us, recording.input_us, greatest) > _POWERED * full
 
 
 def _grounded(recording: Recording, height: np.ndarray, floor: float, powered: np.ndarray | None) -> bool:
-    """Whether the vehicle rests at the lowest height at some time, its motors off."""
+    """Return whether the vehicle rests at the lowest height at some time with its motors off."""
     t_us, p = recording.pose_us, recording.p_ned
     if powered is None and np.ptp(height) < CLEAR_M < np.ptp(p[:, :2], axis=0).max():
         return False  # level flight, recorded in the air

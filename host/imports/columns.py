@@ -1,4 +1,4 @@
-"""Reader of any CSV flight log by a TOML file that says which column is what, in which unit and frame."""
+"""Reader of CSV flight logs with a TOML file that gives the meaning, unit and frame of each column."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class ColumnMap(Strict):
     world: World
     """Axes of positions: north-east-down, north-west-up or east-north-up."""
     body: Body
-    """Axes of rates, forces and torques, and the frame the attitude turns from."""
+    """Axes of rates, forces and torques, and of the body in the attitude."""
     time: str
     time_unit: Literal["s", "ms", "us"] = "s"
     position_m: Three
@@ -56,25 +56,25 @@ class ColumnMap(Strict):
     """Roll, pitch and yaw columns, ZYX, of the body axes in the world axes named above."""
     euler_unit: Literal["rad", "deg"] = "rad"
     motor_command: Four | None = None
-    """In the order of the vehicle file's rotors."""
+    """Motor commands in the order of the vehicle file's rotors."""
     motor_command_full: Annotated[float, Field(gt=0.0)] = 1.0
-    """The value that means full command."""
+    """Value of a full motor command."""
     thrust_n: str | None = None
     """Commanded collective thrust."""
     torque_n_m: Three | None = None
-    """Commanded torque; without it the torque counts as unknown and the measured body rate stands in."""
+    """Commanded torque. Without it, the torque is unknown and the measured body rate is used instead."""
     gyro: Three | None = None
     gyro_unit: Literal["rad/s", "deg/s"] = "rad/s"
     specific_force: Three | None = None
-    """What an accelerometer measures: at rest it points up."""
+    """Specific force, as an accelerometer measures it: it points up at rest."""
     specific_force_unit: Literal["m/s2", "g"] = "m/s2"
     battery_v: str | None = None
     reference_position_m: Three | None = None
-    """What the vehicle was asked to follow."""
+    """Reference that the vehicle followed."""
     reference_velocity_m_s: Three | None = None
     reference_acceleration_m_s2: Three | None = None
     unknown: tuple[Unknown, ...] = ()
-    """What the log does not determine; tracing estimates it as nuisance."""
+    """Properties that the log does not determine; tracing estimates them as nuisance."""
 
 
 def read_map(path: Path | str) -> ColumnMap:
@@ -83,26 +83,26 @@ def read_map(path: Path | str) -> ColumnMap:
     data = parse_toml(read_text(path), path.name)
     problems = [f"{path.name}: {problem}" for problem in _contradictions(data)]
     try:
-        found = validate(data, path.name, ColumnMap)
+        columns = validate(data, path.name, ColumnMap)
     except ConfigurationError as error:
         raise ConfigurationError([*error.problems, *problems]) from None
     if problems:
         raise ConfigurationError(problems)
-    if found.thrust_n is not None and found.torque_n_m is None and "torque" not in found.unknown:
-        return found.model_copy(update={"unknown": (*found.unknown, "torque")})
-    return found
+    if columns.thrust_n is not None and columns.torque_n_m is None and "torque" not in columns.unknown:
+        return columns.model_copy(update={"unknown": (*columns.unknown, "torque")})
+    return columns
 
 
 def _contradictions(data: Mapping[str, Any]) -> list[str]:
-    """Return what keys that are there or not there say about each other, a line each."""
-    there = set(data)
-    found = []
-    if ("quaternion" in there) == ("euler" in there):
-        found.append("attitude: give either quaternion or euler")
-    if {"motor_command", "thrust_n"} <= there:
-        found.append("inputs: give either motor_command or thrust_n")
-    if "torque_n_m" in there and "thrust_n" not in there:
-        found.append("torque_n_m: means nothing without thrust_n, add that")
+    """Return one line for each contradiction between the keys of a column map."""
+    keys = set(data)
+    problems = []
+    if ("quaternion" in keys) == ("euler" in keys):
+        problems.append("attitude: give either quaternion or euler")
+    if {"motor_command", "thrust_n"} <= keys:
+        problems.append("inputs: give either motor_command or thrust_n")
+    if "torque_n_m" in keys and "thrust_n" not in keys:
+        problems.append("torque_n_m: has no meaning without thrust_n; add thrust_n")
     for unit, owner in (
         ("quaternion_order", "quaternion"),
         ("euler_unit", "euler"),
@@ -112,16 +112,16 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         ("reference_velocity_m_s", "reference_position_m"),
         ("reference_acceleration_m_s2", "reference_position_m"),
     ):
-        if unit in there and owner not in there:
-            found.append(f"{unit}: means nothing without {owner}, add that or remove this")
+        if unit in keys and owner not in keys:
+            problems.append(f"{unit}: has no meaning without {owner}; add {owner} or remove {unit}")
     for key, names in data.items():
         if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):
-            found.append(f"{key}: names a column twice, give each its own")
-    return found
+            problems.append(f"{key}: names a column twice; give a different column for each entry")
+    return problems
 
 
 def read(path: Path | str, columns: Path | str) -> Recording:
-    """Return the flight of a CSV file as the column map reads it.
+    """Return the flight of a CSV file, read with a column map.
 
     Raises ConfigurationError for the map (exit code 2) and ImportFormatError for the log.
     """
@@ -149,8 +149,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
     def alone(name: str | None) -> np.ndarray | None:
         return None if name is None else rows[name][keep]
 
-    def times_of(*there: object) -> np.ndarray | None:
-        return t_us if any(item is not None for item in there) else None
+    def times_of(*columns: object) -> np.ndarray | None:
+        return t_us if any(item is not None for item in columns) else None
 
     position = stack(chosen.position_m)
     attitude, turn = _turn(chosen, stack, path.name)
@@ -181,7 +181,7 @@ def read(path: Path | str, columns: Path | str) -> Recording:
 
 
 def _turn(chosen: ColumnMap, stack: Any, source: str) -> tuple[np.ndarray, Rotation]:
-    """Return the attitude as the file has it, (n, 4) or (n, 3), and as turns from body to world axes."""
+    """Return the attitude as in the file, (n, 4) or (n, 3), and as rotations from body to world axes."""
     if chosen.euler is not None:
         angles = stack(chosen.euler)
         return angles, turn_from_euler(angles, degrees=chosen.euler_unit == "deg")
@@ -190,4 +190,4 @@ def _turn(chosen: ColumnMap, stack: Any, source: str) -> tuple[np.ndarray, Rotat
     try:
         return q, turn_from_quaternion(q, scalar_first=chosen.quaternion_order == "wxyz")
     except ValueError as error:
-        raise ImportFormatError(f"{source}: {error}; cut or mend that row") from None
+        raise ImportFormatError(f"{source}: {error}; remove or correct that row") from None

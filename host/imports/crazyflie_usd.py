@@ -1,13 +1,12 @@
-"""Reader of Crazyflie uSD binary logs made under the Lee controller: commanded thrust and torque, on-board
-estimate.
+"""Reader of Crazyflie uSD binary logs of the Lee controller: on-board estimate, commanded thrust and torque.
 
 Layout: byte 0xBC; u16 version; u16 number of event types; per type u16 id, name, u16 number of variables,
 each "name(format)" with a letter of Python's struct; then records of u16 id, time (u32 ms in version 1, u64
 us in version 2) and the packed variables; the last four bytes are the CRC-32 of all before them. Strings end
 with NUL, numbers are little-endian.
 
-World z up (nwu here), body FLU, positions in mm. The positions and angles are those of the on-board filter,
-which runs slower than the log: rows that repeat a pose are dropped.
+The world is z-up (nwu here), the body FLU, and positions are in mm. Positions and angles come from the
+on-board filter, which is slower than the log, so rows that repeat a pose are dropped.
 """
 
 from __future__ import annotations
@@ -59,9 +58,7 @@ class Event:
 
 
 def read(path: Path | str) -> Recording:
-    """Return the flight of a uSD log. Raises ImportFormatError naming the file, what is wrong and what to
-    do.
-    """
+    """Return the flight of a uSD log. Raises ImportFormatError with the file, the problem and the remedy."""
     path = Path(path)
     try:
         data = path.read_bytes()
@@ -77,7 +74,7 @@ def read(path: Path | str) -> Recording:
         values = np.column_stack([named[name.lower()][keep] for name in names])
         if not (np.abs(values) < READABLE).all():
             raise ImportFormatError(
-                f"{path.name}: {', '.join(names)} hold values that are no numbers; fly again"
+                f"{path.name}: {', '.join(names)} contain values that are not numbers; fly again"
             )
         return scale * values
 
@@ -104,16 +101,14 @@ def read(path: Path | str) -> Recording:
 
 
 def _with_all(events: tuple[Event, ...], name: str) -> Event:
-    """Return the event type that holds every variable needed; letters' case differs between firmware
-    versions.
-    """
+    """Return the event type with every required variable, ignoring case, which differs between firmwares."""
 
-    def lacks(event: Event) -> list[str]:
-        there = {column.lower() for column in event.columns}
-        return [variable for variable in VARIABLES if variable.lower() not in there]
+    def missing_in(event: Event) -> list[str]:
+        present = {column.lower() for column in event.columns}
+        return [variable for variable in VARIABLES if variable.lower() not in present]
 
-    best = min(events, key=lambda event: len(lacks(event)))
-    missing = lacks(best)
+    best = min(events, key=lambda event: len(missing_in(event)))
+    missing = missing_in(best)
     if missing:
         raise ImportFormatError(
             f"{name}: no variable {', '.join(missing)}; log it on the vehicle and fly again"
@@ -126,13 +121,13 @@ def _with_all(events: tuple[Event, ...], name: str) -> Event:
 def decode(data: bytes, name: str) -> tuple[Event, ...]:
     """Return the records of a uSD log by event type, one or more.
 
-    Raises ImportFormatError for anything that is not a whole log: wrong mark, cut short, wrong check sum.
+    Raises ImportFormatError if the data is not a complete log: wrong mark, truncated, wrong checksum.
     """
     if data[:1] != bytes([MARK]):
         raise ImportFormatError(f"{name}: does not begin with 0xBC; not a Crazyflie uSD log")
     if len(data) < _SHORTEST or zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
         raise ImportFormatError(
-            f"{name}: check sum is wrong, the file is cut or damaged; copy it from the card again"
+            f"{name}: the checksum is wrong, the file is truncated or damaged; copy it from the card again"
         )
     try:
         return _decode(data[:-4], name)
@@ -145,7 +140,7 @@ def decode(data: bytes, name: str) -> tuple[Event, ...]:
 def _decode(data: bytes, name: str) -> tuple[Event, ...]:
     version, count = struct.unpack_from("<HH", data, 1)
     if version not in (1, 2):
-        raise ImportFormatError(f"{name}: format version {version}; versions 1 and 2 are read")
+        raise ImportFormatError(f"{name}: format version {version} is not supported, only versions 1 and 2")
     stamp, unit_us = ("I", 1000.0) if version == 1 else ("Q", 1.0)
     offset = 5
     types: dict[int, tuple[str, list[str], struct.Struct]] = {}
@@ -195,17 +190,15 @@ def _decode(data: bytes, name: str) -> tuple[Event, ...]:
 
 
 def _string(data: bytes, offset: int) -> tuple[str, int]:
-    """Return the NUL-terminated text at `offset` and the offset behind it."""
+    """Return the NUL-terminated text at `offset` and the offset after it."""
     end = data.find(b"\0", offset)
     if end < 0:
-        raise IndexError("a text without its end")
+        raise IndexError("a text without an end")
     return data[offset:end].decode("ascii"), end + 1
 
 
 def _declared_mass(path: Path) -> float | None:
-    """Mass in kg from the info file kept beside such logs, info/infoNN.yaml for logs/logNN; None without
-    one.
-    """
+    """Return the mass, kg, from the log's info file, info/infoNN.yaml for logs/logNN; None without one."""
     info = path.resolve().parent.parent / "info" / f"info{path.name.removeprefix('log')}.yaml"
     if not info.is_file():
         return None
@@ -216,6 +209,6 @@ def _declared_mass(path: Path) -> float | None:
                 return float(value.partition("#")[0])
             except ValueError:
                 raise ImportFormatError(
-                    f"{info.name}: mass {value.strip()!r} is not a number; mend it"
+                    f"{info.name}: mass {value.strip()!r} is not a number; correct it"
                 ) from None
     return None

@@ -1,7 +1,7 @@
-"""Reader of NanoBench CSV flights: a Crazyflie 2.1 in a Vicon room, one row each 10 ms.
+"""Reader of NanoBench CSV flights: a Crazyflie 2.1 in a Vicon room, one row every 10 ms.
 
-World z up (nwu here: the room's x counts as north), body FLU, quaternions body to world with the scalar
-last, accelerometer in g, motor commands as PWM in 16 bits, m1 front right and on clockwise.
+The world is z-up (nwu here: the room's x counts as north), the body FLU. Quaternions are body to world with
+the scalar last. The accelerometer is in g. Motor commands are 16-bit PWM, clockwise from m1 front right.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ UNKNOWN: tuple[Unknown, ...] = (
 CORNERS: tuple[Corner, Corner, Corner, Corner] = ("front-right", "rear-right", "rear-left", "front-left")
 PWM_MAX = 65535.0
 STANDARD_GRAVITY = 9.80665
-"""m/s^2 in one g of an accelerometer; not the g of this project's dynamics."""
+"""m/s^2 in one g of an accelerometer; differs from gravity in the dynamics."""
 
 _POSITION = ("px", "py", "pz")
 _QUATERNION = ("qx", "qy", "qz", "qw")
@@ -40,10 +40,7 @@ COLUMNS = ("t", *_POSITION, *_QUATERNION, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BA
 
 
 def read(path: Path | str) -> Recording:
-    """Return the flight of a NanoBench CSV file.
-
-    Raises ImportFormatError naming the file, column and line.
-    """
+    """Return the flight of a NanoBench CSV file. Raises ImportFormatError with file, column and line."""
     path = Path(path)
     rows = table(path, COLUMNS)
     t_us = since_first_us(rows["t"], 1e6, path.name)
@@ -58,7 +55,7 @@ def read(path: Path | str) -> Recording:
     try:
         turn = turn_from_quaternion(quaternion, scalar_first=False)
     except ValueError as error:
-        raise ImportFormatError(f"{path.name}: {error}; cut or mend that row") from None
+        raise ImportFormatError(f"{path.name}: {error}; remove or correct that row") from None
     return Recording(
         source=path.name,
         pose_us=t_us[new],

@@ -10,13 +10,13 @@ PROFILES = ("nanobench", "crazyflie-usd", "csv")
 
 
 def read(profile: str, path: Path, columns: Path | None = None) -> Recording:
-    """Return the recording at `path` as the profile reads it; `columns` is the column map, for csv only.
+    """Return the recording at `path`, read with a profile; `columns` is the column map, for csv only.
 
     Raises ImportFormatError (exit code 5) for the log, ConfigurationError (2) for the map, and ValueError
-    for a profile that does not exist or a map that goes with none.
+    for an unknown profile, or if csv has no map or another profile has one.
     """
     if (profile == "csv") != (columns is not None):
-        raise ValueError(f"a column map goes with csv and only with it, not with {profile}")
+        raise ValueError(f"the csv profile needs a column map and no other profile takes one, got {profile}")
     if columns is not None:
         from trimtab.host.imports.columns import read as read_columns
 
@@ -29,4 +29,4 @@ def read(profile: str, path: Path, columns: Path | None = None) -> Recording:
         from trimtab.host.imports.crazyflie_usd import read as read_usd
 
         return read_usd(path)
-    raise ValueError(f"profile {profile!r} is none of {', '.join(PROFILES)}")
+    raise ValueError(f"profile {profile!r} is not one of {', '.join(PROFILES)}")

@@ -1,4 +1,4 @@
-"""What every foreign log is turned into before it is written as a flight log."""
+"""The common form of foreign logs, before they are written as flight logs."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trimtab.host.base.errors import TrimtabError
 Unknown = Literal[
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency"
 ]
-"""What a recording may not determine. Tracing estimates it as nuisance and counts it as no effect."""
+"""Properties that a recording may not determine. Tracing estimates them as nuisance, not as effects."""
 
 WORDS = {
     "pose_us": "poses",
@@ -32,45 +32,56 @@ WORDS = {
     "v_ref_ned": "reference velocity",
     "a_ref_ned": "reference acceleration",
 }
-"""What the parts of a recording are called to whoever made it."""
+"""Names of the parts of a recording in messages."""
 
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
 LONGEST_S = 24 * 3600.0
 LARGEST = 1e6
-"""No SI value of a flight is beyond this; what is has another unit, or is damaged."""
+"""A greater SI value has a wrong unit or is damaged."""
 
 READABLE = 1e30
-"""Values as a file holds them, in whatever unit, are refused from here on: no conversion overflows."""
+"""Greater values in a file, in any unit, are refused, so that no conversion overflows."""
 
 _COMMAND_SLACK = 1e-3
 
 
 class ImportFormatError(TrimtabError, ValueError):
-    """A foreign log that is not what its reader expects; the message names the file, the field and the
-    remedy.
-    """
+    """A foreign log does not have the expected format. The message gives file, field and remedy."""
 
     exit_code = 5
 
 
 class TooShort(ImportFormatError):
-    """A foreign log that is what it should be, with too little in it."""
+    """A foreign log is valid but too short."""
 
     exit_code = 2
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Recording:
-    """A foreign flight in this project's frames and units: world NED, body FRD, SI; times in us since its
-    first row.
+    """A foreign flight in world NED, body FRD and SI units, with times in us since its first row.
 
-    pose_us (n,), p_ned (n, 3), q_ned_frd (n, 4) w first. Inputs at input_us (m,): motor_command (m, 4) in
-    0..1, or thrust_n (m,) with torque_n_m (m, 3) where known. `motor_corners`: where the motors sit whose
-    commands the columns hold; None where they follow the vehicle file. gyro (k, 3) and specific_force
-    (k, 3) at imu_us. battery_v at battery_us. p_ref_ned (r, 3), and where logged v_ref_ned and a_ref_ned, at
-    reference_us. mass_kg: the mass its controller was given. `unknown`: what the recording does not
-    determine. Raises ImportFormatError, naming the file, for anything that cannot be true.
+    Raises ImportFormatError, with the name of the file, for impossible values.
+
+    Attributes
+    ----------
+    pose_us, p_ned, q_ned_frd
+        Times (n,), positions (n, 3), and attitudes (n, 4) with w first.
+    input_us, motor_command, thrust_n, torque_n_m
+        Times (m,), and motor commands (m, 4) in 0..1 or thrust (m,) with torque (m, 3) if it is known.
+    motor_corners
+        Corner of the motor in each column of `motor_command`; None for the order of the vehicle file.
+    imu_us, gyro, specific_force
+        Times (k,), and measurements (k, 3).
+    battery_us, battery_v
+        Times and voltages.
+    reference_us, p_ref_ned, v_ref_ned, a_ref_ned
+        Times (r,), positions (r, 3) and, if logged, velocities and accelerations.
+    mass_kg
+        Mass that the vehicle's controller used.
+    unknown
+        Properties that the recording does not determine.
     """
 
     source: str
@@ -97,16 +108,18 @@ class Recording:
     def __post_init__(self) -> None:
         strange = sorted(set(self.unknown) - set(get_args(Unknown)))
         if strange:
-            raise ValueError(f"unknown {strange} is none of {get_args(Unknown)}")
+            raise ValueError(f"unknown {strange} is not among {get_args(Unknown)}")
         for times, names in _TRACKS.items():
             self._check_track(times, names)
         if self.mass_kg is not None and not 0.0 < self.mass_kg < np.inf:
-            raise ImportFormatError(f"{self.source}: mass {self.mass_kg!r} kg; mend its info file")
+            raise ImportFormatError(
+                f"{self.source}: mass {self.mass_kg!r} kg is impossible; correct the info file"
+            )
         command = self.motor_command
         if command is not None and (command.min() < -_COMMAND_SLACK or command.max() > 1.0 + _COMMAND_SLACK):
             raise ImportFormatError(
                 f"{self.source}: motor commands from {command.min():.4g} to {command.max():.4g} of full; "
-                "give the value that means full command"
+                "give the value of a full command"
             )
         if command is not None and self.thrust_n is not None:
             raise ValueError("either motor commands or thrust, not both")
@@ -129,7 +142,7 @@ class Recording:
             if not np.isfinite(values).all():
                 row = int(np.argwhere(~np.isfinite(values.reshape(len(values), -1)))[0][0])
                 raise ImportFormatError(
-                    f"{self.source}: {WORDS[name]} is not finite at row {row}; cut or mend that row"
+                    f"{self.source}: {WORDS[name]} is not finite at row {row}; remove or correct that row"
                 )
             if np.abs(values).max() > LARGEST:
                 raise ImportFormatError(
@@ -147,34 +160,34 @@ _TRACKS = {
 
 
 def since_first_us(times: np.ndarray, unit_us: float, source: str) -> np.ndarray:
-    """Whole microseconds since the first of `times` (n,), which are in units of `unit_us`.
+    """Return integer microseconds since the first of `times` (n,), which are in units of `unit_us`.
 
-    Raises ImportFormatError where they run back or last longer than a day, which a wrong unit does. Equal
-    times pass: `first_of_equal` drops the repetitions.
+    Raises ImportFormatError if they decrease or span more than a day, which indicates a wrong unit. Equal
+    times are allowed; `first_of_equal` drops repetitions.
     """
     with np.errstate(over="ignore", invalid="ignore"):
         elapsed_us = (times - times[0]) * unit_us
     if not (np.abs(elapsed_us) <= LONGEST_S * 1e6).all():
-        raise ImportFormatError(f"{source}: lasts longer than a day; is the unit of its times right?")
+        raise ImportFormatError(f"{source}: lasts longer than a day; check the unit of its times")
     t_us = np.round(elapsed_us).astype(np.int64)
     back = np.flatnonzero(np.diff(t_us) < 0)
     if len(back):
         raise ImportFormatError(
-            f"{source}: time runs back after row {back[0]}; cut the log there or sort its rows"
+            f"{source}: time decreases after row {back[0]}; cut the log at this row or sort its rows"
         )
     return t_us
 
 
 def first_of_equal(t_us: np.ndarray) -> np.ndarray:
-    """Mask (n,) that keeps the first row of each time."""
+    """Return a mask (n,) of the first row of each time."""
     return np.r_[True, np.diff(t_us) > 0]
 
 
 def fresh(*columns: np.ndarray) -> np.ndarray:
-    """Mask (n,) of the rows that differ from the row before them in any of the columns (n, k).
+    """Return a mask (n,) of the rows that differ from the previous row in any of the columns (n, k).
 
-    A pose that repeats the last one to the bit was not measured again: its logger held it, and with its own
-    row's time it would come too late.
+    A pose identical to the previous one was not measured again. The logger repeated it, and the time of its
+    row is too late.
     """
     whole = np.column_stack(columns)
     return np.r_[True, (whole[1:] != whole[:-1]).any(axis=1)]

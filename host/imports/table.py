@@ -1,4 +1,4 @@
-"""Reader of the numbers in a CSV file's named columns."""
+"""Reader of named numeric columns of a CSV file."""
 
 from __future__ import annotations
 
@@ -13,16 +13,18 @@ from trimtab.host.imports.recording import READABLE, ImportFormatError
 
 
 def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:
-    """Return the needed columns of a CSV file by name, finite numbers all.
+    """Return the needed columns of a CSV file by name. All values are finite.
 
-    Empty lines are passed over, blanks around names and a byte order mark too. Raises ImportFormatError
-    naming the file and every missing column, or the first line and column without a number below 1e30.
+    Empty lines, spaces around names and a byte order mark are ignored. Raises ImportFormatError with the file
+    and every missing column, or with the first line and column that has no number below 1e30.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
             return _table(stream, path.name, tuple(dict.fromkeys(needed)))
     except UnicodeDecodeError as error:
-        raise ImportFormatError(f"{path.name}: no text at byte {error.start}; give a CSV file") from None
+        raise ImportFormatError(
+            f"{path.name}: not UTF-8 text at byte {error.start}; give a CSV file"
+        ) from None
     except csv.Error as error:
         raise ImportFormatError(f"{path.name}: not a CSV file ({error}); give one") from None
     except OSError as error:
@@ -52,7 +54,7 @@ def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.n
         if not all(abs(value) < READABLE for value in row):
             column = next(c for c, i in zip(needed, at, strict=True) if not _is_number(cells, i))
             raise ImportFormatError(
-                f"{name}: line {reader.line_num}: {column} is no finite number; cut or mend that line"
+                f"{name}: line {reader.line_num}: {column} is not a finite number; remove or correct it"
             )
         rows.append(row)
     if len(rows) < 2:

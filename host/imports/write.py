@@ -1,4 +1,4 @@
-"""Writes a recording as a flight log of the project's own."""
+"""Writer of a recording as a Trimtab flight log."""
 
 from __future__ import annotations
 
@@ -19,11 +19,12 @@ _SIDES: dict[Corner, tuple[bool, bool]] = {
     "rear-left": (False, False),
     "front-left": (True, False),
 }
-"""Corner of a quadrotor to whether it lies forward and right."""
+"""Whether each corner of a quadrotor is at the front and on the right."""
 
 DECLARED_MASS_SIGMA = 0.005
-"""Share to which a mass that a recording declares is taken to be known. Not a weighing of this very flight:
-mass stays an alias of thrust.
+"""Relative standard deviation of a mass that a recording declares.
+
+The vehicle was not weighed for this flight, so mass remains an alias of thrust.
 """
 
 
@@ -35,16 +36,16 @@ def write(
     profile: str,
     provenance: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Messages by topic of the log written at `path`; its tracking phase is the time clear of the ground.
+    """Write the log at `path`, and return its number of messages by topic.
 
-    The vehicle takes the mass that the recording declares. `provenance`: what else the log says about where
-    it comes from. Raises ImportFormatError where the recording never flew or contradicts itself, and
-    ConfigurationError where the vehicle cannot be the one that was recorded.
+    The tracking phase is the time in the air. The vehicle gets the mass that the recording declares.
+    `provenance` holds further entries for the log. Raises ImportFormatError if the recording is never
+    airborne or inconsistent, and ConfigurationError if the vehicle cannot be the recorded one.
     """
     r = recording
     tracking_us = airborne(r)
     plausible.check(r, tracking_us)
-    told = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    origin = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
     return write_imported(
         path,
         vehicle=_as_declared(vehicle, r),
@@ -57,12 +58,12 @@ def write(
         if r.battery_us is None or r.battery_v is None
         else Battery(t_us=r.battery_us, battery_v=r.battery_v),
         tracking_us=tracking_us,
-        session={**told, **(provenance or {})},
+        session={**origin, **(provenance or {})},
     )
 
 
 def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
-    """Return the vehicle with the mass that the recording declares, and what that is worth."""
+    """Return the vehicle with the mass that the recording declares, and with the tolerance of that mass."""
     if r.mass_kg is None:
         return vehicle
     sigma = min(DECLARED_MASS_SIGMA, vehicle.tolerance("mass", "factor", DECLARED_MASS_SIGMA))
@@ -74,9 +75,7 @@ def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:
 
 
 def _inputs(r: Recording, vehicle: Vehicle) -> RecordedInputs | None:
-    """Return the recorded inputs at the highest level there is, motors in the vehicle's order; None without
-    any.
-    """
+    """Return the inputs of the highest recorded level, motors in the vehicle's order; None without any."""
     t_us = r.input_us if r.input_us is not None else r.reference_us
     if t_us is None:
         return None
@@ -87,7 +86,7 @@ def _inputs(r: Recording, vehicle: Vehicle) -> RecordedInputs | None:
     if motor is not None:
         motor = np.clip(motor[:, _rotor_order(r, vehicle)], 0.0, 1.0)
     if r.thrust_n is not None and torque is None:
-        torque = np.zeros((len(t_us), 3))  # declared unknown, so that nothing reads it
+        torque = np.zeros((len(t_us), 3))  # listed as unknown, so nothing uses it
     level = "motor" if motor is not None else "thrust-torque" if r.thrust_n is not None else "reference"
     p_ref, v_ref, a_ref = reference
     return RecordedInputs(
@@ -103,13 +102,16 @@ def _inputs(r: Recording, vehicle: Vehicle) -> RecordedInputs | None:
 
 
 def _rotor_order(r: Recording, vehicle: Vehicle) -> list[int]:
-    """Which recorded motor drives each rotor of the vehicle file."""
+    """Return the index of the recorded motor for each rotor of the vehicle file."""
     if r.motor_corners is None:
         return [0, 1, 2, 3]
     recorded = [_SIDES[corner] for corner in r.motor_corners]
     placed = [(rotor.position_m[0] > 0.0, rotor.position_m[1] > 0.0) for rotor in vehicle.rotors]
     if sorted(placed) != sorted(recorded):
         raise ConfigurationError(
-            [f"{vehicle.name}: no rotor at each corner as in {r.source}; give its vehicle with --vehicle"]
+            [
+                f"{vehicle.name}: its rotors are not at the corners as in {r.source}; "
+                "give the recorded vehicle with --vehicle"
+            ]
         )
     return [recorded.index(place) for place in placed]

@@ -14,12 +14,12 @@ def read_blob(path: str | Path) -> Blob:
     try:
         data = Path(path).read_bytes()
     except OSError as error:
-        raise UsageError(f"{path}: cannot be read ({error.strerror}), check the file") from error
+        raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file") from error
     try:
         return from_bytes(data)
     except BlobError as error:
         raise UsageError(
-            f"{path}: no reference or feed-forward ({error}); make one with trimtab plan"
+            f"{path}: not a reference or feed-forward ({error}); make one with trimtab plan"
         ) from error
 
 
@@ -27,7 +27,7 @@ def read_reference(path: str | Path) -> Reference:
     """Return the reference in a file. Raises UsageError."""
     blob = read_blob(path)
     if not isinstance(blob, Reference):
-        raise UsageError(f"{path}: a feed-forward, give a reference (.ref)")
+        raise UsageError(f"{path}: this is a feed-forward; give a reference (.ref)")
     return blob
 
 
@@ -35,16 +35,16 @@ def read_feedforward(path: str | Path) -> FeedForward:
     """Return the feed-forward in a file. Raises UsageError."""
     blob = read_blob(path)
     if not isinstance(blob, FeedForward):
-        raise UsageError(f"{path}: a reference, give a feed-forward (.ff)")
+        raise UsageError(f"{path}: this is a reference; give a feed-forward (.ff)")
     return blob
 
 
 def model_of(path: str | Path) -> str | None:
-    """Id of the model that the plan in `path` was made with, from the provenance beside it; None without."""
-    beside = Path(f"{path}.json")
+    """Return the id of the model behind the plan in `path`, from its provenance file; None if it has none."""
+    provenance_path = Path(f"{path}.json")
     try:
-        told = json.loads(beside.read_text(encoding="utf-8"))
-        model = told.get("provenance", told)["parents"]["model"]
+        content = json.loads(provenance_path.read_text(encoding="utf-8"))
+        model = content.get("provenance", content)["parents"]["model"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None
     return model if isinstance(model, str) else None

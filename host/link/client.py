@@ -1,6 +1,7 @@
-"""The host's end of the link, without I/O: bytes in, messages out; heartbeats and clock comparison by itself.
+"""The host's end of the link, without I/O: bytes in, messages out.
 
-Everything that asks and waits for an answer is a Task (trimtab.host.link.tasks); one is under way at a time.
+The client sends heartbeats and clock requests by itself. Every request that waits for an answer is a Task
+(trimtab.host.link.tasks). One task runs at a time.
 """
 
 from __future__ import annotations
@@ -16,20 +17,24 @@ from trimtab.protocol.messages import Message
 _MASK32, _MASK16 = 0xFFFF_FFFF, 0xFFFF
 HEARTBEAT_US = 1_000_000
 TIMESYNC_US = 97_000
-"""No multiple of the radio's slots or of what the vehicle sends by itself: requests that always meet them
-alike would wait alike, one way longer than the other.
+"""Interval of clock requests.
+
+It is not a multiple of the radio's slot time or of a telemetry interval. Otherwise every request would wait
+equally long for its slot, and one direction would always look slower than the other.
 """
 TIMESYNC_FIRST_US = 25_000
-"""Interval until the clock comparison has settled."""
+"""Interval of clock requests until the clock comparison has settled."""
 REBOOT_TICKS = 1_000
-"""A tick that runs back by more is a reboot; by less, a message that was overtaken."""
+"""A tick counter that drops by more than this means a reboot; by less, messages that arrived out of order."""
 NEVER_US = 1 << 62
 _VEHICLE_SYSTEM = m.VEHICLE[0]
 
 
 class RadioCounts(NamedTuple):
-    """Frames each way; then of both radios together messages refused, poses replaced, messages broken, bytes
-    for which a buffer had no room, and bytes that belonged to no message.
+    """Counters of the two radios.
+
+    Frames are counted by direction. The other counters add both radios: messages refused, poses replaced by
+    newer ones, messages broken, bytes lost to full buffers, and bytes that belong to no message.
     """
 
     up_sent: int
@@ -44,7 +49,7 @@ class RadioCounts(NamedTuple):
 
     @classmethod
     def of(cls, ground: m.RadioStats, vehicle: m.RadioStats) -> RadioCounts:
-        """Return what the two report."""
+        """Return the counters of both radios' reports."""
         return cls(
             ground.frames_sent,
             vehicle.frames_received,
@@ -58,29 +63,36 @@ class RadioCounts(NamedTuple):
         )
 
     def since(self, before: RadioCounts) -> RadioCounts:
-        """Return what was added; the radios' counters wrap."""
+        """Return the increments since `before`, allowing for counters that wrap."""
         frames = [(b - a) & _MASK32 for a, b in zip(before[:4], self[:4], strict=True)]
         return RadioCounts(*frames, *((b - a) & _MASK16 for a, b in zip(before[4:], self[4:], strict=True)))
 
 
 class Client:
-    """One host at one vehicle.
+    """The link of one host to one vehicle.
 
     Attributes
     ----------
     codec
-        counts what was sent, received, lost, repeated. clock: the vehicle's clock against the host's.
+        Encodes and decodes messages; counts those sent, received, lost and repeated.
+    clock
+        Offset of the vehicle's clock against the host's.
     heartbeat, status
-        the newest of the vehicle, None before the first.
+        Newest message of each type from the vehicle; None before the first.
     ground_radio
-        whether the host's own radio reports.
+        Whether the host's radio reports its counters.
     radio_counts
-        as the two radios reported them last within one second; None before.
+        Counters of the last pair of reports from both radios; None before the first pair.
     bytes_sent, bytes_received
-        on the port. texts: what the vehicle said, oldest first, the
-        last 50; said: how many there were in all. heard_us: when the vehicle was last heard.
+        Bytes on the port.
+    texts
+        The vehicle's last 50 status texts as (severity, text), oldest first.
+    text_count
+        Number of status texts received in total.
+    heard_us
+        Host time of the last message from the vehicle; None before the first.
     others
-        MAVLink systems that were heard and are neither the vehicle nor its radios.
+        MAVLink system ids received that belong neither to the vehicle nor to its radios.
     """
 
     def __init__(self) -> None:
@@ -93,7 +105,7 @@ class Client:
         self.bytes_sent = 0
         self.bytes_received = 0
         self.texts: list[tuple[int, str]] = []
-        self.said = 0
+        self.text_count = 0
         self.heard_us: int | None = None
         self.others: set[int] = set()
         self.next_deadline_us = 0
@@ -111,11 +123,12 @@ class Client:
         }
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
-        """Return the messages of the vehicle and both radios that `data` completes, without overtaken
-        statuses.
+        """Return the messages of the vehicle and both radios that `data` completes.
+
+        Messages that the client handles by itself and statuses older than the newest are left out.
         """
         self.bytes_received += len(data)
-        found = []
+        messages = []
         handlers = self._handlers
         for message in self.codec.decode(data):
             if message._header.srcSystem == _VEHICLE_SYSTEM:
@@ -125,15 +138,15 @@ class Client:
                 continue
             handler = handlers.get(type(message))
             if handler is None or handler(message, now_us):
-                found.append(message)
-        return found
+                messages.append(message)
+        return messages
 
     def send(self, message: Message) -> None:
-        """Queues a message. Raises ValueError where a field does not fit."""
+        """Queue a message. Raises ValueError if a field is out of range."""
         self._out.append(self.codec.encode(message))
 
     def advance(self, now_us: int) -> None:
-        """Queues what is due by itself: HEARTBEAT at 1 Hz, TIMESYNC every 97 ms."""
+        """Queue the periodic messages that are due: HEARTBEAT at 1 Hz, TIMESYNC every 97 ms."""
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us + HEARTBEAT_US
             self.send(m.host_heartbeat())
@@ -143,7 +156,7 @@ class Client:
         self.next_deadline_us = min(self._heartbeat_us, self._timesync_us)
 
     def take(self) -> bytes:
-        """Return the bytes to be written to the port."""
+        """Return the bytes to write to the port, and clear the queue."""
         if not self._out:
             return b""
         out, self._out = self._out, []
@@ -151,9 +164,10 @@ class Client:
         self.bytes_sent += len(data)
         return data
 
-    def said_since(self, before: int) -> list[str]:
-        """Return the texts since `said` was `before`, as far as they are kept."""
-        return [text for _, text in self.texts][-(self.said - before) :] if self.said > before else []
+    def texts_since(self, count: int) -> list[str]:
+        """Return the status texts received since `text_count` was `count`, at most the last 50."""
+        new = self.text_count - count
+        return [text for _, text in self.texts][-new:] if new > 0 else []
 
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> bool:
         if message.get_srcComponent() != m.VEHICLE[1] or not m.is_vehicle(message):
@@ -176,7 +190,7 @@ class Client:
         return True
 
     def _on_text(self, message: m.StatusText, now_us: int) -> bool:
-        self.said += 1
+        self.text_count += 1
         self.texts.append((message.severity, message.text))
         del self.texts[:-50]
         return True

@@ -1,4 +1,4 @@
-"""How far another clock is from the host's, from messages that take an unknown time."""
+"""Offsets of other clocks against the host's, from messages with unknown delays."""
 
 from __future__ import annotations
 
@@ -9,23 +9,25 @@ from trimtab.protocol.telemetry import TICK_US
 
 BUCKET_US = 1_000_000
 BUCKETS = 30
-"""The least delay is looked for in the last so many seconds: drift stays below a microsecond a bucket."""
+"""Window of the minimum delay, in buckets of one second. Clock drift stays below 1 us per bucket."""
 STEP_US = 5_000
-"""A delay so much below the least one seen is none: the other clock was set or stood still."""
+"""A delay that is below the minimum by more than this means that the other clock was set or stood still."""
 CAMERA_AHEAD_US = 50_000
-"""No pose arrives so much sooner than the soonest did: its stamp is wrong, or the cameras' clock was set."""
+"""A pose that arrives earlier than the minimum delay by more than this has a wrong stamp, or the camera
+clock was set.
+"""
 CAMERA_AGREE_US = 1_000_000
 CAMERA_AGREEING = 5
-"""So many poses in a row whose stamps are wrong alike are a clock that was set."""
+"""This many poses in a row with the same stamp error (within CAMERA_AGREE_US) mean that the clock was set."""
 _STAMP_MAX_US = 1 << 62
 _SETTLED = 20
 _BEST = 8
 
 
 class LeastDelay:
-    """The smallest of the values seen in the last `BUCKETS` seconds.
+    """Minimum of the values of the last `BUCKETS` seconds.
 
-    One message in hundreds that is a tick quicker than any other says more of chance than of the way.
+    A single message in hundreds may be one tick faster than all others by chance. `usual` averages over that.
     """
 
     def __init__(self) -> None:
@@ -34,7 +36,7 @@ class LeastDelay:
         self.samples = 0
 
     def add(self, value: float, now_us: int) -> bool:
-        """Whether the value was below the least one by a step; everything before it is then forgotten."""
+        """Add a value. Return whether it was a step below the minimum, which discards all earlier values."""
         stepped = self.samples >= _SETTLED and value < self.value - STEP_US
         if stepped:
             self.clear()
@@ -48,20 +50,18 @@ class LeastDelay:
             buckets.append((number, value))
             while buckets[0][0] <= number - BUCKETS:
                 buckets.popleft()
-            self.value = min(least for _, least in buckets)
+            self.value = min(smallest for _, smallest in buckets)
         self.value = min(self.value, value)
         return stepped
 
     @property
     def usual(self) -> float:
-        """The mean of every second's least value, of those within a tick of the least of all; infinite before
-        the first one.
-        """
-        near = [least for _, least in self._buckets if least <= self.value + TICK_US]
+        """Mean of the bucket minima within one tick of the minimum; infinite before the first value."""
+        near = [smallest for _, smallest in self._buckets if smallest <= self.value + TICK_US]
         return sum(near) / len(near) if near else self.value
 
     def clear(self) -> None:
-        """Forgets everything."""
+        """Discard all values."""
         self._buckets.clear()
         self.value = math.inf
         self.samples = 0
@@ -70,18 +70,23 @@ class LeastDelay:
 class ClockSync:
     """Offset of a vehicle's clock against the host's, from TIMESYNC exchanges.
 
-    Each way's least delay is looked for on its own, so that a quick way up and a quick way down need not fall
-    into one exchange. What remains is half the difference of the two least delays, each as it usually comes
-    (a stamp says which tick, not when in it): a link of equal slots both ways has next to none.
+    The minimum delay is tracked for each direction separately, so the fastest uplink and the fastest downlink
+    message need not belong to the same exchange. The remaining error is half the difference of the two
+    minimum delays. Each is averaged over buckets, because a stamp has the resolution of a tick. The error is
+    close to zero on a link with equal slots in both directions.
 
     Attributes
     ----------
     offset_us
-        vehicle clock minus host clock; 0 before the first exchange.
+        Vehicle clock minus host clock; 0 before the first exchange.
     exchanges
-        answers taken. rtt_us: round trip, smoothed. rtts_us: the last 10,000 round trips.
+        Number of answers used.
+    rtt_us
+        Smoothed round-trip time.
+    rtts_us
+        The last 10,000 round-trip times.
     steps
-        how often the other clock jumped and the comparison began anew.
+        How often the vehicle's clock jumped and the comparison was restarted.
     """
 
     def __init__(self) -> None:
@@ -96,12 +101,12 @@ class ClockSync:
 
     @property
     def settled(self) -> bool:
-        """Whether ten exchanges have been seen since the start or the last step."""
+        """Whether ten exchanges were used since the start or the last step."""
         return self._up.samples >= 10
 
     @property
     def sd_us(self) -> float:
-        """Standard deviation of the offset, from how closely the best exchanges of each way agree."""
+        """Standard deviation of the offset, from the spread of the fastest messages in each direction."""
         if len(self._recent) < 2:
             return 0.5 * self.rtt_us
         spread = 0.0
@@ -112,7 +117,7 @@ class ClockSync:
         return 0.5 * math.sqrt(spread)
 
     def answer(self, sent_us: int, vehicle_us: int, now_us: int) -> None:
-        """Take an answer: when it was asked (host), the vehicle's clock, when it arrived (host)."""
+        """Use an answer: time of request (host), of answer (vehicle clock) and of arrival (host)."""
         rtt_us = now_us - sent_us
         if rtt_us < 0 or rtt_us > 5_000_000:
             return
@@ -120,7 +125,7 @@ class ClockSync:
         self.exchanges += 1
         self.rtts_us.append(rtt_us)
         self.rtt_us += (rtt_us - self.rtt_us) / min(self.exchanges, 16)
-        # There and back in less than no time.
+        # A negative round trip: one of the clocks jumped.
         if min(up + self._down.value, down + self._up.value) < -STEP_US:
             self._begin_anew(self._up, self._down)
         if self._up.add(up, now_us):
@@ -132,7 +137,7 @@ class ClockSync:
         self._recent.append((up, down))
 
     def _begin_anew(self, *ways: LeastDelay) -> None:
-        """Forget what these ways were compared by: the other clock jumped."""
+        """Restart the comparison of these directions after the other clock jumped."""
         self.steps += 1
         self._recent.clear()
         for way in ways:
@@ -140,12 +145,13 @@ class ClockSync:
 
 
 class CameraClock:
-    """Offset of the camera system's clock against the host's, from nothing but when its poses arrive.
+    """Offset of the camera system's clock against the host's, from the arrival times of poses alone.
 
     Parameters
     ----------
     delay_us
-        the least time from exposure to arrival, as the maker states it; None: one clock, offset 0.
+        Minimum time from exposure to arrival, as the manufacturer states it. None: host and cameras share a
+        clock, and the offset is 0.
     """
 
     def __init__(self, delay_us: int | None) -> None:
@@ -163,10 +169,10 @@ class CameraClock:
         return self._delay_us - self._late.value
 
     def pose(self, stamp_us: int, now_us: int) -> bool:
-        """Whether the stamp of a pose that has just arrived is believed: newer than the last and possible.
+        """Return whether the stamp of a new pose is valid: newer than the last one and not impossibly early.
 
-        Where a delay was stated, CAMERA_AGREEING poses in a row whose stamps are wrong alike say that the
-        cameras' clock was set: the comparison begins anew with the last of them.
+        If a delay was given, CAMERA_AGREEING consecutive poses with the same stamp error mean that the camera
+        clock was set. The comparison then restarts with the last of them.
         """
         late_us, newer = now_us - stamp_us, stamp_us > self._newest_us
         least_us = 0 if self._delay_us is None else self._late.value if self._late.samples else -math.inf
@@ -181,7 +187,10 @@ class CameraClock:
         return True
 
     def _was_set(self, stamp_us: int, late_us: int, least_us: float) -> bool:
-        """Whether this wrong stamp is one too many for a mistake; a pose that came twice or late is none."""
+        """Return whether the camera clock was set, given one more invalid stamp.
+
+        A repeated or late pose does not count.
+        """
         if self._delay_us is None or stamp_us > _STAMP_MAX_US or abs(late_us - least_us) <= CAMERA_AHEAD_US:
             return False
         last_us, last_late_us = self._wrong
@@ -191,5 +200,5 @@ class CameraClock:
         return self._agreeing >= CAMERA_AGREEING
 
     def clear(self) -> None:
-        """Forgets the comparison: the host's clock against the vehicle's has jumped."""
+        """Discard the comparison, because the offset between host and vehicle clock has jumped."""
         self._late.clear()

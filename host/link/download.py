@@ -1,4 +1,4 @@
-"""What is on board, read back byte by byte over MAVLink FTP, in pieces that fit a radio frame each."""
+"""Download of blobs from the vehicle over MAVLink FTP, in pieces that each fit a radio frame."""
 
 from __future__ import annotations
 
@@ -23,19 +23,20 @@ from trimtab.protocol.stream import OVERHEAD_BYTES
 from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 PIECE_BYTES = FRAME_BYTES - OVERHEAD_BYTES - 3 - 12
-"""Of a file in one answer: what a frame holds behind the headers of message, target and FTP."""
+"""File bytes in one answer: a radio frame less message overhead, target (3 bytes), FTP header (12 bytes)."""
 WINDOW = 8
-"""Pieces asked for and not yet here."""
+"""Greatest number of pieces requested and not yet received."""
 RETRY_US = 250_000
 SESSIONS = range(64, 192)
-"""Numbers to choose a session from, by the time: programs of the same address do not get into each other's
-way, and others count theirs from 0.
+"""FTP session numbers to choose from, by the time.
+
+Programs with the same MAVLink address then rarely use the same number. Other programs count from 0.
 """
 
 
 @dataclass(frozen=True, kw_only=True)
 class OnBoard:
-    """Something on board that can be downloaded: its kind, whether it is live or staged, its path."""
+    """A blob slot on the vehicle: its kind, whether it is staged or live, and its path."""
 
     kind: Kind
     staged: bool
@@ -43,7 +44,7 @@ class OnBoard:
 
     @property
     def suffix(self) -> str:
-        """Of files that hold it: `.ref` or `.ff`."""
+        """File suffix: `.ref` or `.ff`."""
         return self.path[self.path.rindex(".") :]
 
 
@@ -53,22 +54,23 @@ NAMES = {
     "staged-reference": OnBoard(kind=Kind.REFERENCE, staged=True, path="/ref/staged.ref"),
     "staged-feedforward": OnBoard(kind=Kind.FEEDFORWARD, staged=True, path="/ff/staged.ff"),
 }
-"""What `trimtab download` knows, by the word for it."""
+"""Slots that `trimtab download` can read, by name."""
 
 
-def id_on_board(status: m.FcStatus, what: OnBoard) -> str | None:
-    """Return the id (12 hex digits) that the vehicle tells for it, None where there is nothing."""
-    if what.staged:
-        found = bytes(status.staged_id) if status.staged_kind == what.kind else b""
+def id_on_board(status: m.FcStatus, slot: OnBoard) -> str | None:
+    """Return the id (12 hex digits) of the blob in a slot, as the status reports it; None if it is empty."""
+    if slot.staged:
+        blob_id = bytes(status.staged_id) if status.staged_kind == slot.kind else b""
     else:
-        found = bytes(status.reference_id if what.kind is Kind.REFERENCE else status.feedforward_id)
-    return found.hex() if any(found) else None
+        blob_id = bytes(status.reference_id if slot.kind is Kind.REFERENCE else status.feedforward_id)
+    return blob_id.hex() if any(blob_id) else None
 
 
 class ReadFile(Task):
-    """Result: the bytes of a file on board, None where there is no such file. Raises LinkError on silence.
+    """Read a file on the vehicle.
 
-    The session that it opens on board is closed at the end, by a request that is not waited for.
+    The result is its bytes, or None if the file does not exist. Raises LinkError if the vehicle does not
+    answer. The task closes its FTP session at the end and does not wait for the confirmation.
     """
 
     wants = (m.FileTransfer,)
@@ -85,7 +87,7 @@ class ReadFile(Task):
 
     def begin(self, client: Client, now_us: int) -> None:
         self._heard_us = now_us
-        # Not those of the run before, whose answers may be kept.
+        # Avoid the numbers of an earlier run: the vehicle may still hold answers to them.
         self._number = now_us // 1000 & 0xFFFF
         self._session = SESSIONS[now_us // 1000 % len(SESSIONS)]
         self.advance(client, now_us)
@@ -107,8 +109,10 @@ class ReadFile(Task):
 
     def advance(self, client: Client, now_us: int) -> None:
         if now_us - self._heard_us >= PATIENCE_US:
-            got = len(self._pieces) * PIECE_BYTES
-            raise LinkError(f"{self._path} does not arrive ({got} bytes did); check the link and ask again")
+            received = len(self._pieces) * PIECE_BYTES
+            raise LinkError(
+                f"{self._path}: the download stopped after {received} bytes; check the link and try again"
+            )
         if self._size is None:
             data = self._path.encode()
             self._ask(client, Opcode.OPEN_FILE_RO, size=len(data), data=data)
@@ -135,13 +139,13 @@ class ReadFile(Task):
             if error == Error.FILE_NOT_FOUND:
                 self.finish(None)
                 return
-            raise LinkError(f"{self._path}: the vehicle does not open it (error {error}); ask again later")
+            raise LinkError(f"{self._path}: the vehicle cannot open it (error {error}); try again later")
         self._size = int.from_bytes(answer.data[:4], "little")
 
     def _read(self, answer: Packet, now_us: int) -> None:
         assert self._size is not None
         if answer.opcode == Opcode.NAK:
-            raise LinkError(f"{self._path}: the vehicle closed it while it was read; ask again")
+            raise LinkError(f"{self._path}: the vehicle closed the file during the download; try again")
         if answer.offset in self._pieces or answer.offset not in self._asked_us:
             return
         if len(answer.data) != min(PIECE_BYTES, self._size - answer.offset):
@@ -155,15 +159,15 @@ class ReadFile(Task):
         self, client: Client, opcode: Opcode, *, size: int = 0, offset: int = 0, data: bytes = b""
     ) -> None:
         self._number = self._number + 1 & 0xFFFF
-        asked = Packet(
+        request = Packet(
             number=self._number, session=self._session, opcode=opcode, size=size, offset=offset, data=data
         )
-        client.send(m.FileTransfer(0, *m.VEHICLE, asked.encode()))
+        client.send(m.FileTransfer(0, *m.VEHICLE, request.encode()))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Download:
-    """One download: what it was, its id and bytes, time taken, pieces asked for again."""
+    """One download: slot name, id and bytes of the blob, duration, and number of pieces requested again."""
 
     name: str
     id: str
@@ -172,7 +176,7 @@ class Download:
     repeated: int
 
     def to_json(self) -> dict[str, Any]:
-        """Return the answer of `trimtab download --json`, but for the file's name."""
+        """Return the answer of `trimtab download --json`, without the file name."""
         return {
             "name": self.name,
             "id": self.id,
@@ -183,26 +187,29 @@ class Download:
 
 
 def read_back(session: Session, name: str, status: m.FcStatus, port: str) -> Generator[Task, Any, Download]:
-    """Yield what is on board under a word of NAMES, for scripts: its bytes make the id that `status` tells.
+    """Download the blob in the slot `name` and check it against the id in `status`. For session scripts.
 
-    Raises UsageError where there is nothing, LinkError where it does not arrive or its bytes make another id.
+    Raises UsageError if the slot is empty, LinkError if the download fails or its bytes have another id.
     """
-    what = NAMES[name]
-    wanted = id_on_board(status, what)
+    slot = NAMES[name]
+    expected = id_on_board(status, slot)
     begin_us = session.now_us
-    task = ReadFile(what.path)
-    data: bytes | None = None if wanted is None else (yield task)
-    if data is None or wanted is None:
+    task = ReadFile(slot.path)
+    data: bytes | None = None if expected is None else (yield task)
+    if data is None or expected is None:
         raise UsageError(f"{port}: no {name} on board; send one with trimtab upload")
-    found = content_id(data)
-    if found != wanted:
-        raise LinkError(f"{port}: {name} {wanted} was read as {found}, it changed meanwhile; ask again")
+    received = content_id(data)
+    if received != expected:
+        raise LinkError(
+            f"{port}: expected {name} {expected} but received {received}; "
+            "it changed during the download, try again"
+        )
     seconds = (session.now_us - begin_us) * 1e-6
-    return Download(name=name, id=wanted, data=data, seconds=seconds, repeated=task.repeated)
+    return Download(name=name, id=expected, data=data, seconds=seconds, repeated=task.repeated)
 
 
 def download_session(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
-    """Return a session that reads what is on board at a port; its result is a Download."""
+    """Return a session that downloads a blob from the vehicle at a port; its result is a Download."""
 
     def script(session: Session) -> Generator[Task, Any, Download]:
         yield FindVehicle(port)
@@ -215,7 +222,7 @@ def download_session(name: str, port: str, on_phase: Callable[[str], None] | Non
 
 
 def download_port(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Download:
-    """Return what is on board at a serial port, in real time.
+    """Download a blob from the vehicle at a serial port, in real time.
 
     Raises UsageError, LinkError or KeyboardInterrupt.
     """
@@ -226,7 +233,7 @@ def download_port(name: str, port: str, on_phase: Callable[[str], None] | None =
 
 
 def download_lockstep(name: str, vehicle: Vehicle) -> Download:
-    """Return the same with a vehicle in this process."""
+    """Download a blob from a vehicle in this process."""
     session = download_session(name, "vehicle")
     run_lockstep(session, vehicle)
     return session.outcome()

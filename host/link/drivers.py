@@ -1,6 +1,6 @@
-"""Carry bytes between a session and the world: a vehicle in lock-step, or a port and a camera socket.
+"""Drivers: they carry bytes between a session and a vehicle in lock-step, or a port and a camera socket.
 
-The only place of the link that looks at the wall clock.
+This is the only module of the link that reads the wall clock.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ from trimtab.host.link.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
 
 LATE_US = 20_000
-"""Behind the wall clock by more than this, simulated time is stretched and an overrun counted."""
+"""If simulated time is behind the wall clock by more than this, it is stretched and an overrun is counted."""
 READ_WAIT_US = 100_000
-"""A port is looked at no less often, whatever its descriptor says."""
+"""Longest time between two reads of a port, even if its descriptor reports no data."""
 
 
 @dataclass
 class DriveStatistics:
-    """Simulated and wall time of a run, and how often and by how much the machine was late."""
+    """Simulated and wall time of a run, number of overruns, and total stretch of simulated time."""
 
     session_us: int = 0
     wall_s: float = 0.0
@@ -36,15 +36,16 @@ class DriveStatistics:
 
     @property
     def realtime_factor(self) -> float:
-        """Session seconds a wall second."""
+        """Session time over wall time."""
         return self.session_us * 1e-6 / self.wall_s if self.wall_s > 0.0 else 0.0
 
 
 class Interrupts:
-    """Counts wishes to end instead of raising wherever the program just is; nothing outside the main thread.
+    """Context that counts interrupt signals instead of raising KeyboardInterrupt.
 
-    Every Ctrl-C counts; SIGTERM and SIGHUP count as the first one only, since a terminal that closes may hang
-    up more than once. SIGHUP stays ignored where it was (nohup). Of one within another only the inner counts.
+    Every Ctrl-C counts. SIGTERM and SIGHUP count only if they come first, because a terminal that closes may
+    send SIGHUP more than once. If SIGHUP was ignored before (nohup), it stays ignored. Of nested contexts,
+    only the inner one counts. Outside the main thread the context does nothing.
     """
 
     def __init__(self) -> None:
@@ -76,16 +77,18 @@ def run_lockstep(
     realtime: bool = False,
     interrupt: Callable[[], None] | None = None,
 ) -> DriveStatistics:
-    """Statistics once the session is done; its result or error is in the session.
+    """Run a session with a vehicle in this process, and return the statistics of the run.
+
+    The result or error of the session is in the session.
 
     Parameters
     ----------
     realtime
-        keep to the wall clock, as far as the machine can.
+        Keep pace with the wall clock, as far as the machine can.
     interrupt
-        called between two steps at Ctrl-C, SIGTERM or SIGHUP; without it the session ends at once.
+        Called between two steps after Ctrl-C, SIGTERM or SIGHUP. Without it, the session ends immediately.
 
-    Raises whatever the vehicle raises, a foreign plant's error for instance.
+    Raises any error of the vehicle, for instance that of a foreign plant.
     """
     statistics = DriveStatistics()
     first_us = vehicle.now_us
@@ -112,7 +115,7 @@ def run_lockstep(
 
 
 def _keep_pace(now_us: int, origin_us: int, statistics: DriveStatistics) -> int:
-    """Wait for the wall clock; us by which simulated time must be stretched."""
+    """Wait for the wall clock. Return the microseconds by which simulated time must be stretched."""
     ahead_us = now_us - (_wall_us() - origin_us)
     if ahead_us > 0:
         time.sleep(ahead_us * 1e-6)
@@ -131,7 +134,7 @@ def run_port(
     *,
     interrupt: Callable[[], None] | None = None,
 ) -> DriveStatistics:
-    """Statistics once the session is done, in real time. Raises LinkError where the port fails."""
+    """Run a session at a port in real time, and return the statistics. Raises LinkError if the port fails."""
     statistics = DriveStatistics()
     end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
     first_us = now_us = _wall_us()

@@ -1,9 +1,8 @@
-"""The flight director: from connecting to disarming, the same in lock-step and in real time, all of it
-logged.
+"""The flight director: it flies one request from connection to disarming, and logs the flight.
 
-Connect, check the vehicle, its parameters and what is live on board, compare clocks, forward the cameras'
-poses, arm, start, follow the phases until the vehicle has disarmed. The log begins when arming is
-acknowledged.
+It works the same in lock-step and in real time. Its steps: connect; check the vehicle, its parameters and the
+live blobs; compare clocks; forward the cameras' poses; arm; start; follow the phases until the vehicle has
+disarmed. The log begins when the vehicle acknowledges arming.
 """
 
 from __future__ import annotations
@@ -14,7 +13,7 @@ from typing import Any
 
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, Refused, UsageError
 from trimtab.host.link.clock import CameraClock
-from trimtab.host.link.flight_order import FlightEnd, FlightOrder
+from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted
 from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
 from trimtab.host.link.recorder import Recorder
@@ -29,7 +28,7 @@ from trimtab.host.link.tasks import (
     Task,
 )
 from trimtab.host.link.upload_tasks import make_live
-from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
+from trimtab.host.link.vehicle_match import check_same_vehicle, neutral_feedforward
 from trimtab.host.log import LogError, LogWriter, Provenance, failsafe_name
 from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
@@ -51,34 +50,38 @@ PHASES = {
     mavlink.TRIMTAB_STATE_OFFBOARD: "offboard",
 }
 ON_REQUEST = "landing on request"
-"""The phase after an interrupt, until the vehicle says that it lands."""
+"""Phase after an interrupt, until the vehicle reports that it lands."""
 
 
 class FlightDirector:
-    """Flies one order through `session`, which a driver steps; call `close` at the end in any case.
+    """Flies one request through `session`, which a driver steps. Always call `close` at the end.
 
     Attributes
     ----------
     phase
-        what is going on, for people. flown_s, total_s: progress of the reference.
+        Name of the current phase, for display.
     end
-        how it ended, None before. identity: of the vehicle, None before it is known.
+        How the flight ended; None before.
+    identity
+        Identity of the vehicle; None before it is known.
     log_open
-        whether there is a log that can be read once it is closed.
+        Whether there is a log that can be read once it is closed.
     interrupted
-        whether somebody wanted the flight to end.
+        Whether the flight was interrupted.
     """
 
-    def __init__(self, order: FlightOrder, on_phase: Callable[[str], None] | None = None) -> None:
-        self.session = Session(self._script, CameraClock(order.camera_delay_us))
+    def __init__(self, request: FlightRequest, on_phase: Callable[[str], None] | None = None) -> None:
+        self.session = Session(self._script, CameraClock(request.camera_delay_us))
         self.phase = "connecting"
         self.end: FlightEnd | None = None
         self.identity: Identity | None = None
         self.log_open = False
         self.interrupted = False
-        self._order = order
+        self._request = request
         self._swap = (
-            None if order.then is None else Swap(order.then, order.swap_us, lambda: self.session.forwarded)
+            None
+            if request.then is None
+            else Swap(request.then, request.swap_us, lambda: self.session.forwarded)
         )
         self._on_phase = on_phase
         self._on_board: dict[str, float] | None = None
@@ -86,23 +89,23 @@ class FlightDirector:
         self._recorder: Recorder | None = None
 
     def interrupt(self) -> None:
-        """End the flight: in the air the vehicle lands first. A second call gives it up at once."""
+        """End the flight. A flying vehicle lands first; a second call ends the session immediately."""
         at_once = self.interrupted or self._recorder is None
         self.interrupted = True
         self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
 
     def abandon(self, error: BaseException) -> None:
-        """Leaves a readable log that says why the world around the flight failed, even from before arm."""
-        with contextlib.suppress(LogError):  # a log that cannot be written is no news then
+        """Write the error to the log and close it. Open a log for that if arming had not happened yet."""
+        with contextlib.suppress(LogError):  # the caller raises `error`, which matters more
             if self._recorder is None and not self.log_open:
                 self._open_log(0)
             if self._recorder is not None:
                 now_us = self.session.now_us
-                self._recorder.say(f"ended by {type(error).__name__}: {error}", now_us)
+                self._recorder.record_text(f"ended by {type(error).__name__}: {error}", now_us)
             self.close()
 
     def close(self) -> None:
-        """Close the log. Raises LogError where its end cannot be written."""
+        """Close the log. Raises LogError if its end cannot be written."""
         if self._log is not None:
             self.session.listener = None
             self._log.close()
@@ -110,21 +113,21 @@ class FlightDirector:
     # The script.
 
     def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
-        order = self._order
-        identity: Identity = yield FindVehicle(order.port)
+        request = self._request
+        identity: Identity = yield FindVehicle(request.port)
         self.identity = identity
-        check_same_vehicle(identity, order.vehicle.id, what="the reference", port=order.port)
+        check_same_vehicle(identity, request.vehicle.id, what="the reference", port=request.port)
         self._note("checking")
         on_board: dict[str, float] = yield ReadParameters()
-        for name, value in self._order.parameters.items():
+        for name, value in self._request.parameters.items():
             if name not in on_board or not equal(value, on_board[name]):
                 on_board[name] = yield SetParameter(name, value)
         self._on_board = on_board
         self._check_parameters(on_board)
-        yield from self._ensure_live(order.reference, Kind.REFERENCE)
-        yield from self._ensure_live(order.feedforward, Kind.FEEDFORWARD)
+        yield from self._ensure_live(request.reference, Kind.REFERENCE)
+        yield from self._ensure_live(request.feedforward, Kind.FEEDFORWARD)
         yield SettleClock()
-        yield AwaitPoses(session, order.cameras)
+        yield AwaitPoses(session, request.cameras)
         self._note("arming")
         yield from self._arm()
         failure: Exception | None = None
@@ -142,7 +145,7 @@ class FlightDirector:
                 raise
             except Interrupted:
                 self._note(ON_REQUEST)
-            except Exception as error:  # whatever went wrong on this side, the vehicle lands first
+            except Exception as error:  # land the vehicle before any error of the host is raised
                 if failure is not None:
                     raise
                 failure = error
@@ -152,24 +155,26 @@ class FlightDirector:
         self.end = self._judge(status)
         self._note("landed")
         if isinstance(failure, LogError):
-            raise LogError(f"{failure}; the flight was ended for that, the vehicle has landed") from failure
+            raise LogError(
+                f"{failure}; the flight was ended because of this, and the vehicle has landed"
+            ) from failure
         if failure is not None:
             raise failure
         return self.end
 
     def _check_parameters(self, on_board: Mapping[str, float]) -> None:
-        expected = to_parameters(self._order.vehicle) | dict(self._order.parameters)
+        expected = to_parameters(self._request.vehicle) | dict(self._request.parameters)
         different = differences(expected, on_board)
-        if different and not self._order.as_flashed:
+        if different and not self._request.as_flashed:
             shown = ", ".join(
-                f"{name} is {there:g}, not {wanted:g}"
-                for name, (wanted, there) in list(different.items())[:3]
+                f"{name} is {actual:g}, not {nominal:g}"
+                for name, (nominal, actual) in list(different.items())[:3]
             )
             more = f" and {len(different) - 3} more" if len(different) > 3 else ""
             raise UsageError(
-                f"parameters on board differ from {self._order.vehicle.name}: {shown}{more}; "
-                "name the vehicle file it was set up with, set them with --parameter, or fly it as it is "
-                "with --as-flashed"
+                f"parameters on board differ from {self._request.vehicle.name}: {shown}{more}; "
+                "give the vehicle file that it was set up with, set the values with --parameter, or fly it "
+                "unchanged with --as-flashed"
             )
 
     def _ensure_live(self, blob: Reference | FeedForward | None, kind: Kind) -> Generator[Task, Any, None]:
@@ -177,18 +182,18 @@ class FlightDirector:
         field_name, name = _BLOBS[kind]
         live = bytes(getattr(status, field_name))
         if blob is None:
-            if any(live) and live.hex() != neutral_feedforward(self._order.vehicle.id).id:
+            if any(live) and live.hex() != neutral_feedforward(self._request.vehicle.id).id:
                 raise UsageError(
-                    f"the {name} {live.hex()} is live on board; name its file with --feedforward FILE, "
-                    f"or take it off with `trimtab upload neutral --port {self._order.port}`"
+                    f"the {name} {live.hex()} is live on board; give its file with --feedforward FILE, "
+                    f"or remove it with `trimtab upload neutral --port {self._request.port}`"
                 )
             return
         if live.hex() == blob.id:
             return
-        if not self._order.upload:
-            what = live.hex() if any(live) else "none"
+        if not self._request.upload:
+            live_id = live.hex() if any(live) else "none"
             raise UsageError(
-                f"the {name} live on board is {what}, not {blob.id}; run `trimtab upload` with it first"
+                f"the live {name} on board is {live_id}, not {blob.id}; upload it first with `trimtab upload`"
             )
         self._note(f"uploading the {name}")
         yield from make_live(blob, f"{name} {blob.id}")
@@ -202,9 +207,10 @@ class FlightDirector:
             raise FlightFailed(str(error)) from error
 
     def _start(self) -> Generator[Task, Any, None]:
-        """Refused by a vehicle that flies or has failed since it was armed, there is a flight to follow.
+        """Start the flight. Raises FlightFailed if the vehicle refuses and stays on the ground.
 
-        A status that comes with the refusal may be older than it.
+        A vehicle that already flies, or that went into failsafe after arming, also refuses; there is a flight
+        to follow then. The status is requested anew, because the last one may be older than the refusal.
         """
         try:
             yield Command(mavlink.MAV_CMD_MISSION_START, what="start")
@@ -219,25 +225,25 @@ class FlightDirector:
             yield Command(mavlink.MAV_CMD_NAV_LAND, what="land")
 
     def _open_log(self, now_us: int) -> None:
-        order, client = self._order, self.session.client
-        told = dict(order.session) | {"arm_host_us": str(now_us)}
+        request, client = self._request, self.session.client
+        session = dict(request.session) | {"arm_host_us": str(now_us)}
         if self.identity is not None:
-            told["session_uid"] = self.identity.uid
+            session["session_uid"] = self.identity.uid
         provenance = Provenance(
-            vehicle=order.vehicle,
-            reference=order.reference.to_bytes(),
-            feedforward=None if order.feedforward is None else order.feedforward.to_bytes(),
-            then=None if order.then is None else order.then.to_bytes(),
-            model_id=order.model_id,
+            vehicle=request.vehicle,
+            reference=request.reference.to_bytes(),
+            feedforward=None if request.feedforward is None else request.feedforward.to_bytes(),
+            then=None if request.then is None else request.then.to_bytes(),
+            model_id=request.model_id,
             parameters=self._on_board,
-            session=told,
+            session=session,
         )
-        self._log = LogWriter(order.log_path, provenance)
+        self._log = LogWriter(request.log_path, provenance)
         self.log_open = True
         self._recorder = Recorder(
-            self._log, client, self.session.camera, order.reference, now_us, then=order.then
+            self._log, client, self.session.camera, request.reference, now_us, then=request.then
         )
-        self._recorder.say("armed", now_us)
+        self._recorder.record_text("armed", now_us)
         self.session.listener = self._recorder
 
     # Following.
@@ -252,11 +258,11 @@ class FlightDirector:
         self._note(PHASES.get(status.state, "unknown"))
 
     def _judge(self, status: m.FcStatus) -> FlightEnd:
-        """How the flight ended, from the status in standby after it."""
-        order, reference = self._order, self._order.reference
+        """Return how the flight ended, from the standby status after it."""
+        request, reference = self._request, self._request.reference
         swap = None if self._swap is None else self._swap.end(bytes(status.reference_id).hex())
-        if order.then is not None and swap is not None and swap.happened:
-            reference = order.then
+        if request.then is not None and swap is not None and swap.happened:
+            reference = request.then
         flown = status.reference_tick != m.NO_TICK
         whole = flown and status.tick - status.reference_tick >= reference.duration_us // TICK_US
         failsafe = failsafe_name(status.failsafe)

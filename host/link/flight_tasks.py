@@ -1,4 +1,4 @@
-"""Tasks that await poses and follow a flight."""
+"""Tasks that wait for poses and follow a flight."""
 
 from __future__ import annotations
 
@@ -17,18 +17,18 @@ from trimtab.protocol.messages import Message, mavlink
 
 POSES_FIRST = 5
 SILENCE_US = 30_000_000
-"""A vehicle that lost its host lands by itself; after this long in silence it is given up."""
+"""Silence after which the host gives up. A vehicle that has lost its host lands by itself."""
 STRAY_US = 2_000_000
-"""A status that was overtaken by arming still says standby; after this long standby is believed."""
+"""Time after arming during which a standby status is ignored, because it may be older than arming."""
 _STANDBY = mavlink.TRIMTAB_STATE_STANDBY
 
 
 class Interrupted(Exception):
-    """Somebody wants the flight to end; raised in the script by `FlightDirector.interrupt`."""
+    """The flight is to end; `FlightDirector.interrupt` raises this in the script."""
 
 
 class AwaitPoses(Task):
-    """Result: None once poses flow to the vehicle. Raises LinkError where none arrive."""
+    """Wait until poses are forwarded to the vehicle. Raises LinkError if none arrive."""
 
     CHECK_US = 20_000
 
@@ -46,13 +46,15 @@ class AwaitPoses(Task):
         if self._session.forwarded >= self._first + POSES_FIRST:
             self.finish()
         elif now_us >= self._end_us:
-            raise LinkError(f"{self._cameras}: no poses in {PATIENCE_US / 1e6:g} s; check that it sends here")
+            raise LinkError(
+                f"{self._cameras}: no poses in {PATIENCE_US / 1e6:g} s; check that it sends to this address"
+            )
         else:
             self.deadline_us = now_us + self.CHECK_US
 
 
 class FollowFlight(Task):
-    """Result: the last FC_STATUS, in standby again. Raises LinkError after too long a silence."""
+    """Follow a flight. The result is the standby FC_STATUS after it. Raises LinkError after long silence."""
 
     wants = (m.FcStatus, *Swap.wants)
     CHECK_US = 500_000
@@ -96,7 +98,7 @@ class FollowFlight(Task):
         heard_us = self._begin_us if client.heard_us is None else client.heard_us
         if now_us - heard_us >= SILENCE_US:
             raise LinkError(
-                f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, go and see"
+                f"the vehicle has been silent for {SILENCE_US / 1e6:g} s; it lands by itself, check on it"
             )
         self._check_us = now_us + self.CHECK_US
         self._wake()

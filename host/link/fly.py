@@ -1,4 +1,4 @@
-"""Flights from beginning to end, for verbs and whoever else has something to fly."""
+"""Complete flights, with a vehicle in this process or at a serial port."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from collections.abc import Callable, Iterator
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.ports import Cameras, open_port
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle
@@ -17,7 +17,7 @@ from trimtab.host.log import FAILSAFE_WORDS
 
 
 class FlightEnded(FlightFailed):
-    """A flight that did not fly its reference to the end; `result` is what there is, the log is kept."""
+    """A flight ended before its reference did. `result` holds what was measured; the log is kept."""
 
     def __init__(self, message: str, result: FlightResult) -> None:
         super().__init__(message)
@@ -25,7 +25,7 @@ class FlightEnded(FlightFailed):
 
 
 class FlightInterrupted(KeyboardInterrupt):
-    """A flight that was ended from outside; `result` is what there is, the log is kept."""
+    """A flight was interrupted. `result` holds what was measured; the log is kept."""
 
     def __init__(self, message: str, result: FlightResult) -> None:
         super().__init__(message)
@@ -33,18 +33,18 @@ class FlightInterrupted(KeyboardInterrupt):
 
 
 def fly_lockstep(
-    order: FlightOrder,
+    request: FlightRequest,
     vehicle: Vehicle,
     *,
     realtime: bool = False,
     on_phase: Callable[[str], None] | None = None,
 ) -> FlightResult:
-    """Return the result of flying `order` with a vehicle in this process; the vehicle stays open.
+    """Fly `request` with a vehicle in this process, and return the result. The vehicle stays open.
 
-    Raises FlightEnded, TrimtabError, what the vehicle raises, and once the log is closed FlightInterrupted,
-    or KeyboardInterrupt where none was begun.
+    Raises FlightEnded, TrimtabError or any error of the vehicle. An interrupt raises FlightInterrupted once
+    the log is closed, or KeyboardInterrupt if no log was begun.
     """
-    director = FlightDirector(order, on_phase)
+    director = FlightDirector(request, on_phase)
     late = Interrupts() if realtime else contextlib.nullcontext()
     with _settled_heap(), late:
         try:
@@ -59,43 +59,43 @@ def fly_lockstep(
             raise
         finally:
             director.close()
-        return _conclude(director, order, driven)
+        return _conclude(director, request, driven)
 
 
 def fly_port(
-    order: FlightOrder,
+    request: FlightRequest,
     port: str,
     mocap: str,
     *,
     on_phase: Callable[[str], None] | None = None,
 ) -> FlightResult:
-    """Return the result of flying `order` at a serial port in real time; poses arrive at the `mocap` URL.
+    """Fly `request` at a serial port in real time, and return the result. Poses arrive at the `mocap` URL.
 
-    Raises as `fly_lockstep` does. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first; at a second Ctrl-C it
-    is left to itself.
+    Raises the same errors as `fly_lockstep`. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first. A second
+    Ctrl-C leaves the vehicle to its failsafe.
     """
-    director = FlightDirector(order, on_phase)
+    director = FlightDirector(request, on_phase)
     with (
         contextlib.closing(Cameras(mocap)) as cameras,
         contextlib.closing(open_port(port)) as line,
-        Interrupts(),  # until the log is read: a key that is held down must not end that
+        Interrupts(),  # a key that is held down must not stop the log from being read
     ):
         try:
             driven = run_port(director.session, line, cameras, interrupt=director.interrupt)
         except SESSION_ERRORS as error:
-            raise _with_log(error, director, order) from error
+            raise _with_log(error, director, request) from error
         finally:
             director.close()
-        return _conclude(director, order, driven)
+        return _conclude(director, request, driven)
 
 
 @contextlib.contextmanager
 def _settled_heap() -> Iterator[None]:
-    """Inside, Python's collector leaves out all that exists already.
+    """Exclude the existing objects from garbage collection inside the context.
 
-    The libraries' objects are a hundred times those of a flight: going through them took a tenth of it.
+    The libraries hold a hundred times as many objects as a flight; scanning them took a tenth of its time.
     """
-    if gc.get_freeze_count():  # somebody else's choice
+    if gc.get_freeze_count():  # the caller has frozen the heap already
         yield
         return
     gc.freeze()
@@ -105,43 +105,43 @@ def _settled_heap() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _conclude(director: FlightDirector, order: FlightOrder, driven: DriveStatistics) -> FlightResult:
-    """Return the result of a session that is done, or its error."""
+def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveStatistics) -> FlightResult:
+    """Return the result of a finished session, or raise its error."""
     error = director.session.error
     if isinstance(error, SESSION_ERRORS):
-        raise _with_log(error, director, order)
+        raise _with_log(error, director, request)
     if error is not None and not (isinstance(error, KeyboardInterrupt) and director.log_open):
         raise error
-    result = summarise(director, order.log_path, driven)
+    result = summarise(director, request.log_path, driven)
     end = director.end
     if end is None or end.interrupted:
-        raise FlightInterrupted(_how_interrupted(director, order), result)
+        raise FlightInterrupted(_how_interrupted(director, request), result)
     if end.failsafe is not None:
         why = FAILSAFE_WORDS.get(end.failsafe, end.failsafe)
-        raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {order.log_path}", result)
+        raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {request.log_path}", result)
     if not end.whole:
-        raise FlightEnded(f"the flight ended before its reference did; its log is {order.log_path}", result)
+        raise FlightEnded(f"the flight ended before its reference did; its log is {request.log_path}", result)
     if end.swap is not None and not end.swap.happened:
         raise FlightEnded(
-            f"the first reference was flown to its end, {end.swap.reference} did not take over: "
-            f"{end.swap.reason}; its log is {order.log_path}",
+            f"the first reference was flown to its end, but {end.swap.reference} did not take over: "
+            f"{end.swap.reason}; its log is {request.log_path}",
             result,
         )
     return result
 
 
-def _how_interrupted(director: FlightDirector, order: FlightOrder) -> str:
-    """Return what became of the vehicle, and where the log is."""
-    log = f"its log is {order.log_path}"
+def _how_interrupted(director: FlightDirector, request: FlightRequest) -> str:
+    """Return a sentence about the state of the vehicle and the path of the log."""
+    log = f"its log is {request.log_path}"
     if director.end is not None:
         return f"the vehicle has landed; {log}"
     return f"the vehicle is left to its failsafe; {log}" if director.interrupted else log
 
 
-def _with_log(error: TrimtabError, director: FlightDirector, order: FlightOrder) -> TrimtabError:
-    """Return the same error, saying where the log is if there is one."""
+def _with_log(error: TrimtabError, director: FlightDirector, request: FlightRequest) -> TrimtabError:
+    """Return the error, with the path of the log added if there is one."""
     if not director.log_open:
         return error
-    found = type(error)(f"{error}; the log up to there is {order.log_path}")
-    found.details = {"log": str(order.log_path)}
-    return found
+    extended = type(error)(f"{error}; the log up to this point is {request.log_path}")
+    extended.details = {"log": str(request.log_path)}
+    return extended

@@ -14,7 +14,7 @@ from trimtab.protocol.parameters import BY_NAME, NAME_MAX, equal, float32
 
 
 class ReadParameters(Task):
-    """Result: all parameters on board by name. Raises LinkError where they do not arrive."""
+    """Read all parameters on board. The result maps names to values. Raises LinkError if some are missing."""
 
     wants = (m.ParamValue,)
 
@@ -41,15 +41,15 @@ class ReadParameters(Task):
         if message.param_index not in self._values:
             self._progress_us = now_us
         self._values[message.param_index] = (message.param_id, _value(message))
-        # While the list flows nothing is asked again.
+        # Request missing parameters only after the list has stopped.
         self.deadline_us = now_us + RETRY_US
         if len(self._values) == self._count:
             self.finish(dict(self._values[index] for index in sorted(self._values)))
 
     def advance(self, client: Client, now_us: int) -> None:
         if now_us - self._progress_us >= self._patience_us:
-            what = "none" if self._count is None else f"{len(self._values)} of {self._count}"
-            raise LinkError(f"the vehicle's parameters do not arrive ({what} did); check the link")
+            received = "none" if self._count is None else f"{len(self._values)} of {self._count}"
+            raise LinkError(f"the vehicle's parameters do not arrive ({received} did); check the link")
         if self._count is None:
             self._list(client, now_us)
             return
@@ -60,10 +60,10 @@ class ReadParameters(Task):
 
 
 class SetParameter(Task):
-    """Result: the value on board. Raises Refused where the vehicle keeps another, LinkError on silence.
+    """Set a parameter on board. The result is the value that the vehicle confirms.
 
-    Values are the same where they are in float32. ValueError where it is not finite, or no whole number where
-    the table asks for one.
+    Values are compared as float32. Raises Refused if the vehicle keeps another value, and LinkError if it
+    does not answer. Raises ValueError if the value is not finite, or not whole for an integer parameter.
     """
 
     wants = (m.ParamValue,)
@@ -71,7 +71,7 @@ class SetParameter(Task):
     def __init__(self, name: str, value: float, attempts: int = 10) -> None:
         super().__init__()
         if not 0 < len(name) <= NAME_MAX or not name.isascii():
-            raise ValueError(f"a parameter's name has 1 to {NAME_MAX} ASCII characters, not {name!r}")
+            raise ValueError(f"a parameter name has 1 to {NAME_MAX} ASCII characters, not {name!r}")
         self._name = name
         self._value = float32(value)
         self._type = type_of(BY_NAME.get(name))
@@ -79,12 +79,12 @@ class SetParameter(Task):
         self._attempts = attempts
 
     def begin(self, client: Client, now_us: int) -> None:
-        self._said = client.said
+        self._texts_before = client.text_count
         self.advance(client, now_us)
 
     def advance(self, client: Client, now_us: int) -> None:
         if self._attempts == 0:
-            raise LinkError(f"{self._name} was set but the vehicle does not answer; check the link")
+            raise LinkError(f"{self._name}: the vehicle does not confirm the new value; check the link")
         self._attempts -= 1
         client.send(m.ParamSet(*m.VEHICLE, self._name.encode(), self._raw, self._type))
         self.deadline_us = now_us + RETRY_US
@@ -95,17 +95,14 @@ class SetParameter(Task):
             return
         value = _value(message)
         if not isfinite(value) or not equal(value, self._value):
-            said = " ".join(client.said_since(self._said))
-            raise Refused(f"{self._name} stays {value:g} on board" + (f" ({said})" if said else ""))
+            reason = " ".join(client.texts_since(self._texts_before))
+            raise Refused(f"{self._name} stays {value:g} on board" + (f" ({reason})" if reason else ""))
         self.finish(value)
 
 
 def _value(message: m.ParamValue) -> float:
-    """Return the value that a PARAM_VALUE stands for.
-
-    Raises LinkError where its type is none that we know.
-    """
+    """Return the value of a PARAM_VALUE message. Raises LinkError if its type is unknown."""
     try:
         return decode(message.param_value, message.param_type)
     except ValueError as error:
-        raise LinkError(f"{message.param_id} comes in a type we do not know ({error})") from None
+        raise LinkError(f"{message.param_id} has an unknown type ({error})") from None

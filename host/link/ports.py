@@ -1,6 +1,6 @@
-"""The serial ports of this machine, TCP and UDP in their place, and the socket that poses arrive at.
+"""Serial, TCP and UDP ports, and the socket that receives poses.
 
-The only module that imports pyserial.
+This is the only module that imports pyserial.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ CONNECT_S = 5.0
 
 
 class Port(Protocol):
-    """A byte stream that never blocks a reader; `name` is how messages call it."""
+    """A byte stream whose reads never block; messages refer to it by `name`."""
 
     name: str
 
@@ -34,13 +34,13 @@ class Port(Protocol):
 
 
 def open_port(url: str, baud: int = BAUD) -> Port:
-    """Return the port at a device path (pty, USB), `tcp:HOST:PORT` or `udp:HOST:PORT`.
+    """Open a device path (pty, USB), `tcp:HOST:PORT` or `udp:HOST:PORT`.
 
-    Raises LinkError (exit code 3) where nothing can be opened there, UsageError where the URL makes no sense.
+    Raises LinkError (exit code 3) if the port cannot be opened, UsageError if the URL is invalid.
     """
-    scheme, colon, rest = url.partition(":")
+    scheme, colon, location = url.partition(":")
     if colon and scheme in ("tcp", "udp"):
-        address = _address(rest.removeprefix("//"), url)
+        address = _address(location.removeprefix("//"), url)
         return _TcpPort(url, address) if scheme == "tcp" else _UdpPort(url, address)
     return _SerialPort(url, baud)
 
@@ -68,14 +68,14 @@ class _SerialPort:
         try:
             self._serial.write(data)
         except serial.SerialTimeoutException:
-            raise LinkError(f"{self.name}: nobody takes what is written there; check the port") from None
+            raise LinkError(
+                f"{self.name}: writing timed out, nothing reads from the port; check it"
+            ) from None
         except (serial.SerialException, OSError) as error:
             raise self._gone(error) from error
 
     def _gone(self, error: BaseException) -> LinkError:
-        """Return what to raise for a port that was open: the system's reason where there is one, not
-        pyserial's.
-        """
+        """Return the error for a port that was open, with the system's reason if there is one."""
         reason = "" if _number(error) is None else f" ({_reason(error)})"
         return LinkError(f"{self.name}: the port is gone{reason}; check the device and its cable")
 
@@ -85,7 +85,7 @@ class _SerialPort:
 
 
 class _TcpPort:
-    """A connection to a server that plays a serial port."""
+    """A connection to a TCP server that stands in for a serial port."""
 
     def __init__(self, name: str, address: tuple[str, int]) -> None:
         self.name = name
@@ -124,7 +124,7 @@ class _TcpPort:
 
 
 class _UdpPort:
-    """Datagrams to and from one address; it is told of us by our first heartbeat."""
+    """Datagrams to and from one address. The peer learns our address from the first heartbeat."""
 
     def __init__(self, name: str, address: tuple[str, int]) -> None:
         self.name = name
@@ -141,7 +141,7 @@ class _UdpPort:
 
     def read(self) -> bytes:
         data = bytearray()
-        # A refused datagram is reported on a later read: nobody listens there yet.
+        # If the peer does not listen yet, a later read reports the refused datagram.
         with contextlib.suppress(BlockingIOError, ConnectionError):
             while len(data) < READ_BYTES:
                 data += self._socket.recv(READ_BYTES)
@@ -159,10 +159,10 @@ class Cameras:
     """The socket at which a camera system's datagrams arrive."""
 
     def __init__(self, url: str) -> None:
-        """Listen at `udp://HOST:PORT`. Raises UsageError where that is no address of this machine."""
+        """Listen at `udp://HOST:PORT`. Raises UsageError if this is not an address of this machine."""
         try:
             parts = urlsplit(url)
-        except ValueError:  # brackets without an end, letters that stand for punctuation
+        except ValueError:  # unclosed brackets, or characters that normalise to punctuation
             parts = None
         if parts is None or parts.scheme != "udp":
             raise UsageError(f"mocap {url}: give it as udp://HOST:PORT")
@@ -173,29 +173,29 @@ class Cameras:
             self._socket.bind(local)
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
-                what = "another program listens there; close it or let the cameras send to another port"
+                problem = "another program uses this port; close it or let the cameras send to another port"
             else:
-                what = f"cannot listen there ({_reason(error)}); give an address of this machine"
-            raise UsageError(f"mocap {url}: {what}") from error
+                problem = f"cannot listen at this address ({_reason(error)}); give one of this machine"
+            raise UsageError(f"mocap {url}: {problem}") from error
         self._socket.setblocking(False)
 
     def fileno(self) -> int:
         return self._socket.fileno()
 
     def read(self) -> list[bytes]:
-        """Return the datagrams that wait, oldest first."""
-        found: list[bytes] = []
+        """Return the waiting datagrams, oldest first, at most 100."""
+        datagrams: list[bytes] = []
         with contextlib.suppress(BlockingIOError, ConnectionError):
-            while len(found) < 100:
-                found.append(self._socket.recv(READ_BYTES))
-        return found
+            while len(datagrams) < 100:
+                datagrams.append(self._socket.recv(READ_BYTES))
+        return datagrams
 
     def close(self) -> None:
         self._socket.close()
 
 
 def _address(text: str, url: str) -> tuple[str, int]:
-    """Host and port. Raises UsageError where they are not both there."""
+    """Return host and port. Raises UsageError if either is missing or invalid."""
     host, colon, number = text.rpartition(":")
     whole = number.isascii() and number.isdigit()
     if not colon or not host or not whole or not 0 < int(number) <= 65535:
@@ -204,19 +204,19 @@ def _address(text: str, url: str) -> tuple[str, int]:
 
 
 def _remedy(error: BaseException) -> str:
-    """Why a serial port cannot be opened and what to do."""
+    """Return why a serial port cannot be opened and what to do about it."""
     number = _number(error)
     if number in (errno.EAGAIN, errno.EBUSY):
-        return "it is in use by another program, close that"
+        return "it is in use by another program; close that program"
     if number in (errno.EACCES, errno.EPERM):
-        return "you have no right to it; on most systems the group dialout has"
+        return "permission denied; on most systems you must be in the group dialout"
     return f"check its name ({_reason(error)})"
 
 
 def _reason(error: BaseException) -> str:
-    """Return what the system says, in one line and without its numbers."""
+    """Return the system's error text, in one line and without error numbers."""
     number = _number(error)
-    if isinstance(error, socket.gaierror):  # its numbers are not the system's
+    if isinstance(error, socket.gaierror):  # its numbers are not errno values
         text = error.strerror or "unknown address"
     else:
         text = str(error) or type(error).__name__ if number is None else os.strerror(number)
@@ -224,8 +224,8 @@ def _reason(error: BaseException) -> str:
 
 
 def _number(error: BaseException) -> int | None:
-    """Return the system's number of an error."""
+    """Return the errno value of an error, or None."""
     number = getattr(error, "errno", None)
-    if number is None and (found := re.search(r"\((\d+), ", str(error))):
-        return int(found[1])  # pyserial puts what termios raised into its own text
+    if number is None and (match := re.search(r"\((\d+), ", str(error))):
+        return int(match[1])  # pyserial quotes the termios error in its own text
     return number

@@ -1,4 +1,4 @@
-"""Poses for a vehicle that another ground station flies: clocks are compared, nothing is commanded."""
+"""Pose forwarding for a vehicle that another ground station flies: no commands are sent."""
 
 from __future__ import annotations
 
@@ -17,12 +17,12 @@ from trimtab.host.link.tasks import FindVehicle, Task
 
 LOOK_US = 1_000_000
 SILENT_US = 30_000_000
-"""A vehicle that was not heard for so long has gone."""
+"""Silence after which the vehicle counts as lost."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Forwarded:
-    """Poses that arrived, how many of them went on to the vehicle, and the time it took."""
+    """Number of poses received and forwarded, and the duration."""
 
     poses: int
     forwarded: int
@@ -34,12 +34,14 @@ class Forwarded:
 
 
 class KeepForwarding(Task):
-    """Never ends by itself. Raises LinkError where the vehicle falls silent.
+    """Keep the session running until it is ended from outside. Raises LinkError if the vehicle falls silent.
 
     Parameters
     ----------
     port
-        how messages call it. look: is called every second.
+        Name of the port in messages.
+    look
+        Called every second.
     """
 
     def __init__(self, port: str, look: Callable[[], None]) -> None:
@@ -49,7 +51,7 @@ class KeepForwarding(Task):
 
     def advance(self, client: Client, now_us: int) -> None:
         if client.heard_us is not None and now_us - client.heard_us > SILENT_US:
-            raise LinkError(f"{self._port}: the vehicle was not heard for {SILENT_US / 1e6:g} s")
+            raise LinkError(f"{self._port}: the vehicle has been silent for {SILENT_US / 1e6:g} s")
         self._look()
         self.deadline_us = now_us + LOOK_US
 
@@ -62,7 +64,9 @@ def forward_session(
     Parameters
     ----------
     ready
-        called once the vehicle has answered. look: called every second from then on.
+        Called once the vehicle has answered.
+    look
+        Called every second from then on.
     """
 
     def script(session: Session) -> Generator[Task, Any, None]:
@@ -81,7 +85,7 @@ def forward_port(
     ready: Callable[[], None],
     look: Callable[[Session], None],
 ) -> Forwarded:
-    """Return what was forwarded until Ctrl-C, SIGTERM or SIGHUP, the ordinary end.
+    """Forward poses until Ctrl-C, SIGTERM or SIGHUP, which is the normal end, and return the counts.
 
     Raises LinkError or UsageError.
     """

@@ -1,4 +1,4 @@
-"""Writes what passes the host during a flight into its log, on the host's clock from arm."""
+"""Recorder of a flight: it logs the messages that pass the host, on the host's clock from arm."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from trimtab.protocol.telemetry import (
 
 LINK_US = 100_000
 DISPLAY_EVERY = 5
-"""Every so many poses and references one is written for display."""
+"""One in this many poses and references is also written for display."""
 _AGE_UNKNOWN_US = 6_553_500
 _FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
 
 
 class Recorder:
-    """Logs one flight; `arm_us` is the host's clock when the vehicle acknowledged arming.
+    """Log of one flight. `arm_us` is the host time at which the vehicle acknowledged arming.
 
-    `then` is the reference that may take over in flight, None for none.
-    `last_status` is the newest FC_STATUS logged, None before.
+    `then` is the reference that may take over in flight; None if there is none.
+    `last_status` is the newest FC_STATUS logged; None before the first.
     """
 
     def __init__(
@@ -73,11 +73,11 @@ class Recorder:
 
     @property
     def deadline_us(self) -> int:
-        """When `link` is due."""
+        """Time at which `link` is due."""
         return self._link_us
 
     def receive(self, messages: Sequence[Message], now_us: int) -> None:
-        """Log messages that have just arrived."""
+        """Log newly received messages."""
         handlers = self._handlers
         for message in messages:
             handler = handlers.get(type(message))
@@ -85,7 +85,7 @@ class Recorder:
                 handler(message, now_us - self._arm_us)
 
     def pose(self, message: m.AttPosMocap, vehicle_us: int, now_us: int) -> None:
-        """Log a pose of the camera system, forwarded with the stamp `vehicle_us` (0: not forwarded)."""
+        """Log a camera pose that was forwarded with the stamp `vehicle_us` (0: not forwarded)."""
         source_us = message.time_usec
         publish_us = round(source_us - self._camera.offset_us) - self._arm_us
         log_us = now_us - self._arm_us
@@ -96,7 +96,7 @@ class Recorder:
             self._log.display(topics.DISPLAY_POSE, log_us, publish_us, p, message.q)
 
     def link(self, now_us: int) -> None:
-        """Log the state of the link where it is due."""
+        """Log the state of the link if it is due."""
         if now_us < self._link_us:
             return
         self._link_us += LINK_US * (1 + (now_us - self._link_us) // LINK_US)
@@ -124,13 +124,13 @@ class Recorder:
         log_us = now_us - self._arm_us
         self._log.write(topics.LINK, message, log_us, log_us)
 
-    def say(self, text: str, now_us: int) -> None:
-        """Log a line of the host's own."""
+    def record_text(self, text: str, now_us: int) -> None:
+        """Log a text message of the host."""
         log_us = now_us - self._arm_us
         self._log.text(log_us, log_us, mavlink.MAV_SEVERITY_INFO, text, "host")
 
     def _publish_us(self, vehicle_us: int) -> int:
-        """Return a vehicle stamp on the host's clock from arm."""
+        """Return the host time from arm of a vehicle stamp."""
         return round(vehicle_us - self._clock.offset_us) - self._arm_us
 
     def _control(self, message: m.FcControl, log_us: int) -> None:
@@ -161,7 +161,7 @@ class Recorder:
             self._reference(log_us, tick, reference_us, flat)
 
     def _observe(self, message: m.FcObserver, log_us: int) -> None:
-        self._observer = message  # waits for the control message of its tick, which follows
+        self._observer = message  # logged with the control message of the same tick, which follows
 
     def _observed(self, tick: int) -> Sequence[float]:
         observer = self._observer
@@ -226,7 +226,7 @@ class Recorder:
         self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
 
     def _follow(self, message: m.FcStatus, start_tick: int | None) -> None:
-        """Take over what the status says about when which reference began, or will."""
+        """Update the start ticks of both references from a status."""
         then = self._then
         if then is None or bytes(message.reference_id).hex() != then.id:
             self._first.start_tick = start_tick
@@ -241,7 +241,7 @@ class Recorder:
 
 
 class LinkCounts:
-    """What both radios and the host's port have counted since this was built."""
+    """Counters of both radios and of the host's port since construction."""
 
     def __init__(self, client: Client) -> None:
         self._client = client
@@ -250,29 +250,29 @@ class LinkCounts:
         self._radios_before = client.radio_counts
 
     def radios(self) -> RadioCounts | None:
-        """None where not both radios report, or have not yet again."""
+        """Return the radios' increments; None until both radios have reported twice."""
         before, now = self._radios_before, self._client.radio_counts
         if before is None:
             before = self._radios_before = now
         return None if before is None or now is None or now == before else now.since(before)
 
     def bytes(self) -> tuple[int, int]:
-        """Sent, received."""
+        """Return the bytes sent and received on the port."""
         client, (sent, received) = self._client, self._bytes_before
         return client.bytes_sent - sent, client.bytes_received - received
 
     def frames(self) -> tuple[int, int, int]:
-        """Sent, received, lost: of both radios where both report, else the host's messages."""
+        """Return frames sent, received and lost: of both radios if they report, else the host's messages."""
         radios = self.radios()
         if radios is not None:
-            # What came twice hides a loss, what is in the air looks like one: a few frames either way.
+            # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.
             lost = max(0, radios.up_sent - radios.up_received)
             lost += max(0, radios.down_sent - radios.down_received)
             return radios.up_sent + radios.down_sent, radios.up_received + radios.down_received, lost
         sent, received, lost = (
             b - a for a, b in zip(self._messages_before, _messages(self._client), strict=True)
         )
-        # What counted as lost before arm may have arrived since.
+        # A message that was counted as lost before arming may have arrived later.
         return sent, received, max(0, lost)
 
 
@@ -282,10 +282,10 @@ def _messages(client: Client) -> tuple[int, int, int]:
 
 
 class _FlownReference:
-    """The flat outputs at the ticks that control messages come with.
+    """Flat outputs of a reference at the ticks of control messages.
 
-    They come every so many ticks, so one table a phase holds nearly all of them. Ticks that come before the
-    vehicle has said when tracking began wait for that; `written` counts for display.
+    Control messages come every STEP_TICKS ticks, so one table for each phase of that step covers nearly all
+    of them. Ticks that arrive before the start tick is known wait for it. `written` counts the rows logged.
     """
 
     STEP_TICKS = 10
@@ -300,16 +300,16 @@ class _FlownReference:
         self._tables: dict[int, list[list[float]]] = {}
 
     def at(self, tick: int) -> list[tuple[int, int, Sequence[float]]]:
-        """(tick, us since the start, flat outputs) of this tick and of those that waited for the start."""
+        """Return (tick, us since the start, flat outputs) of this tick and of the ticks that waited."""
         start = self.start_tick
         if start is None:
             self._waiting.append(tick)
             return []
-        found = [self._row(waited, start) for waited in self._waiting if waited >= start]
+        rows = [self._row(earlier, start) for earlier in self._waiting if earlier >= start]
         self._waiting.clear()
         if tick >= start:
-            found.append(self._row(tick, start))
-        return found
+            rows.append(self._row(tick, start))
+        return rows
 
     def _row(self, tick: int, start: int) -> tuple[int, int, Sequence[float]]:
         end_us = self._reference.duration_us
@@ -323,6 +323,6 @@ class _FlownReference:
 
 
 def _shown_id(first_bytes: Sequence[int]) -> str:
-    """Return an id of six bytes as hex; empty for none."""
+    """Return an id of six bytes as hex, or an empty string if all bytes are zero."""
     data = bytes(first_bytes)
     return data.hex() if any(data) else ""

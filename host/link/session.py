@@ -1,7 +1,6 @@
-"""One connection from its first byte to its end, without I/O: a script of tasks, poses forwarded meanwhile.
+"""A session, without I/O: it runs a script of tasks and forwards poses at the same time.
 
-A driver (trimtab.host.link.drivers) carries bytes and datagrams between a session and the world, and passes
-the time.
+A driver (trimtab.host.link.drivers) carries bytes and datagrams in and out, and passes the time in.
 """
 
 from __future__ import annotations
@@ -18,11 +17,11 @@ from trimtab.protocol.messages import Message
 from trimtab.protocol.stream import split
 
 Script = Generator[Task, Any, Any]
-"""Yields tasks, gets back their results, returns the session's result; errors of a task are raised in it."""
+"""A generator that yields tasks, receives their results or errors, and returns the session's result."""
 
 
 class Listener(Protocol):
-    """Who sees everything that passes, for instance a Recorder."""
+    """An observer of all messages and poses, for instance a Recorder."""
 
     @property
     def deadline_us(self) -> int: ...
@@ -32,26 +31,31 @@ class Listener(Protocol):
 
 
 class Session:
-    """Runs a script over a Client.
+    """A script that runs over a Client.
 
     Parameters
     ----------
     script
-        called once with the session, when the first `step` tells the time.
+        Called once with the session, at the first `step`.
     camera
-        the camera system's clock; its poses are forwarded with stamps on the vehicle's clock.
+        Clock of the camera system. Poses are forwarded with stamps on the vehicle's clock.
 
     Attributes
     ----------
     done
-        whether the script has ended. result: what it returned. error: what it raised instead.
+        Whether the script has ended.
+    result
+        The script's return value.
+    error
+        The exception that ended the script, if any.
     now_us
-        the time of the step under way.
+        Time of the current step.
     poses
-        poses that have arrived. forwarded: how many went on to the vehicle.
+        Number of valid poses received.
+    forwarded
+        Number of poses sent to the vehicle.
     listener
-        who sees what passes, None for nobody. One that raises sees no more, and what it raised is
-        raised in the script.
+        Observer of messages and poses, or None. If it raises, it is removed and the script gets the error.
     """
 
     def __init__(self, script: Callable[[Session], Script], camera: CameraClock | None = None) -> None:
@@ -71,7 +75,7 @@ class Session:
 
     @property
     def next_deadline_us(self) -> int:
-        """When `step` must be called at the latest."""
+        """Latest time of the next call of `step`."""
         task, listener = self._task, self.listener
         deadline_us = self.client.next_deadline_us
         if task is not None and task.deadline_us < deadline_us:
@@ -81,7 +85,7 @@ class Session:
         return deadline_us if not self.done else NEVER_US
 
     def step(self, now_us: int, data: bytes = b"", datagrams: Sequence[bytes] = ()) -> bytes:
-        """Bytes for the port: takes what has arrived there and from the cameras, and the time."""
+        """Process received bytes, camera datagrams and the time. Return the bytes to write to the port."""
         self.now_us = now_us
         client = self.client
         if self._script is None:
@@ -97,20 +101,20 @@ class Session:
             client.advance(now_us)
         listener = self.listener
         if listener is not None and now_us >= listener.deadline_us:
-            self._tell(listener.link, now_us)
+            self._notify(listener.link, now_us)
         task = self._task
         if task is not None and now_us >= task.deadline_us:
             self._guard(task.advance, client, now_us)
         return client.take()
 
     def outcome(self) -> Any:
-        """Return what the script returned, once the session is done. Raises what it raised instead."""
+        """Return the result of the finished script, or raise its error."""
         if self.error is not None:
             raise self.error
         return self.result
 
     def fail(self, error: BaseException) -> None:
-        """End the script by raising `error` in it; it may yield another task instead and go on."""
+        """Raise `error` in the script. The script may catch it and continue with another task."""
         if not self.done and self._script is not None:
             self._task = None
             self._resume(error)
@@ -119,14 +123,14 @@ class Session:
 
     def _dispatch(self, messages: Sequence[Message], now_us: int) -> None:
         if self.listener is not None:
-            self._tell(self.listener.receive, messages, now_us)
+            self._notify(self.listener.receive, messages, now_us)
         for message in messages:
             task = self._task
             if task is not None and type(message) in task.wants:
                 self._guard(task.receive, self.client, message, now_us)
 
-    def _tell(self, act: Callable[..., None], *arguments: Any) -> None:
-        """Tells the listener; where it raises, the script decides how to go on without it."""
+    def _notify(self, act: Callable[..., None], *arguments: Any) -> None:
+        """Call the listener. If it raises, remove it and pass the error to the script."""
         try:
             act(*arguments)
         except Exception as error:
@@ -134,7 +138,7 @@ class Session:
             self.fail(error)
 
     def _guard(self, act: Callable[..., None], *arguments: Any) -> None:
-        """Lets the task act; where it ends or raises, the script goes on."""
+        """Call the task. If it ends or raises, resume the script."""
         task = self._task
         assert task is not None
         try:
@@ -148,7 +152,7 @@ class Session:
                 self._resume(None, task.result)
 
     def _resume(self, error: BaseException | None, result: Any = None) -> None:
-        """Run the script up to its next task that is not done at once."""
+        """Run the script until it yields a task that does not finish immediately."""
         script = self._script
         assert script is not None
         try:
@@ -170,7 +174,7 @@ class Session:
             self.done, self.error = True, problem
 
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
-        """Forward the poses in a datagram; one whose stamp the camera clock does not believe is dropped."""
+        """Forward the poses in a datagram; drop those whose stamp the camera clock rejects."""
         clock, camera = self.client.clock, self.camera
         for message in map(decode_message, split(datagram)):
             if type(message) is not m.AttPosMocap:
@@ -188,4 +192,4 @@ class Session:
                 self.client.send(forwarded)
                 self.forwarded += 1
             if self.listener is not None:
-                self._tell(self.listener.pose, message, vehicle_us, now_us)
+                self._notify(self.listener.pose, message, vehicle_us, now_us)

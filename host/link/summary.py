@@ -1,4 +1,4 @@
-"""What a flight comes to: tracking, motors, link, as people and `--json` get it."""
+"""Summary of a flight: tracking error, motor saturation and link quality, as text and JSON."""
 
 from __future__ import annotations
 
@@ -9,19 +9,19 @@ from typing import Any
 
 from trimtab.host.link.drivers import DriveStatistics
 from trimtab.host.link.flight import FlightDirector
-from trimtab.host.link.flight_order import FlightEnd
+from trimtab.host.link.flight_request import FlightEnd
 from trimtab.host.log import Flight, link_report, read_flight, topics
 from trimtab.host.log.tracking import tracking_error
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightResult:
-    """One flight. What could not be measured is None, a flight without tracking phase has no error for
-    instance.
+    """Result of one flight. A value that could not be measured is None.
 
-    end: None where the flight was left before it came to one.
-    clipped_share: share of the ticks in flight on which the motors could not give what was commanded.
-    link: see `trimtab.host.log.link_report`.
+    `tracking_rmse_m` and `tracking_max_m` are None without a tracking phase.
+    `end` is None if the host stopped following the flight before its end.
+    `clipped_share` is the share of ticks in flight on which the motor commands were saturated.
+    `link` is described in `trimtab.host.log.link_report`.
     """
 
     log: Path
@@ -54,7 +54,7 @@ class FlightResult:
         }
 
     def to_lines(self) -> list[str]:
-        """Return the same for people."""
+        """Return the lines of text for the terminal."""
         lines = [
             f"{self.log}  id {self.log_id}  {self.duration_s:.1f} s, {self.realtime_factor:.1f} x real time"
         ]
@@ -73,11 +73,8 @@ class FlightResult:
 
 
 def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
-    """Return the result of a flight whose log is closed.
-
-    Raises LogError where the log cannot be read back.
-    """
-    flight = read_flight(log, leave_out=[topics.FC_CONTROL])  # the result tells nothing of it
+    """Return the result of a flight whose log is closed. Raises LogError if the log cannot be read back."""
+    flight = read_flight(log, leave_out=[topics.FC_CONTROL])  # the result does not use this topic
     error = tracking_error(flight)
     return FlightResult(
         log=log,

@@ -1,4 +1,4 @@
-"""A second reference that is sent in flight and takes over from the first at an agreed time."""
+"""Swap: a second reference is uploaded in flight and replaces the first at an agreed time."""
 
 from __future__ import annotations
 
@@ -19,23 +19,25 @@ from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload import UploadSender
 
 PACE_US = 10_000
-"""Least time between two chunks in flight: 100 a second, and about 45 answers, of the 500 slots."""
+"""Minimum time between two chunks in flight: 100 chunks and about 45 answers a second, of 500 slots."""
 _INTERVAL_US = PACE_US - TICK_US
-"""Of the sender: poses that come a tick early still take a chunk along."""
+"""Interval of the sender: one tick shorter, so that a pose that comes a tick early still brings a chunk."""
 _BEHIND_US = 2 * TICK_US
-"""From a pose to what follows it: the serial line goes idle between them, else the radio would be handed both
-at once, when the chunk is there.
+"""Delay of a chunk after a pose.
+
+The serial line goes idle between the two. Without the delay, the radio would receive both together, and the
+pose would wait for the chunk.
 """
 _NO_POSE_US = 3 * PACE_US
-"""Without poses for so long things go out all the same."""
+"""Without a pose for this long, chunks are sent anyway."""
 SLOTS_PER_S = 500
-"""Of the radio in its default setting."""
+"""Slots per second of the radio with default settings."""
 
 
 def swap_time_us(first: Reference, then: Reference, at_us: int | None) -> int:
-    """When `then` takes over, in us of the first reference: `at_us` on a tick, or the latest time possible.
+    """Return the swap time in us of the first reference: `at_us` rounded to a tick, or the latest possible.
 
-    Raises UsageError where it does not go on with `first` there, or nowhere.
+    Raises UsageError if `then` does not continue `first` smoothly at `at_us`, or at any time.
     """
     start = reference_at(then, np.zeros(1, dtype=np.int64))[0]
     if at_us is None:
@@ -45,31 +47,38 @@ def swap_time_us(first: Reference, then: Reference, at_us: int | None) -> int:
         if not 0 < times[0] < first.duration_us:
             raise UsageError(
                 f"--at {at_us * 1e-6:g}: the reference {first.id} lasts {first.duration_us * 1e-6:g} s, "
-                "give a time within"
+                "give a time within it"
             )
     bounds = np.array([bound for _, bound, _ in JUMPS])
-    found = [jumps(row, start) for row in reference_at(first, times)]
-    excess = (np.array(found) / bounds).max(axis=1)
+    jumps_at = [jumps(row, start) for row in reference_at(first, times)]
+    excess = (np.array(jumps_at) / bounds).max(axis=1)
     fits = np.flatnonzero(excess <= 1.0)
     if len(fits):
         return int(times[fits[-1]])
     nearest = int(excess.argmin())
-    jump = jump_text(found[nearest])
+    jump = jump_text(jumps_at[nearest])
     where = f"at {times[nearest] * 1e-6:.3f} s"
     raise UsageError(
-        f"the reference {then.id} does not go on with {first.id}: {where}"
+        f"the reference {then.id} does not continue {first.id} smoothly: {where}"
         f"{'' if at_us is not None else ', where it is nearest,'} {jump[0] if jump else ''}; "
-        "plan one that starts there, or give another --at"
+        "plan one that starts at this point, or give another --at"
     )
 
 
 @dataclass(frozen=True, kw_only=True)
 class SwapEnd:
-    """What became of a swap.
+    """Outcome of a swap.
 
-    at_s: on the first reference; upload_s: from the announcement to the agreement, None where there was none;
-    slots_share: messages of the upload both ways against the slots in that time; reason: why it did not
-    happen, None where it did.
+    Attributes
+    ----------
+    at_s
+        Swap time on the first reference.
+    reason
+        Why the swap did not happen; None if it did.
+    upload_s
+        Duration of the upload, from the announcement to its end; None if the upload did not end.
+    slots_share
+        Messages of the upload in both directions over the radio slots in that time.
     """
 
     reference: str
@@ -92,10 +101,10 @@ class SwapEnd:
 
 
 class Swap:
-    """Sends `reference` while another is flown, to take over `at_us` after that one's start.
+    """Upload of `reference` during a flight; it takes over `at_us` after the start of the first reference.
 
-    poses: how many poses have gone to the vehicle. What is sent leaves shortly behind one, so that it delays
-    neither that one nor, being through the air by then, the next.
+    `poses` returns the number of poses sent to the vehicle. Each chunk leaves shortly after a pose, so that
+    it delays neither this pose nor the next one.
     """
 
     wants = (m.UploadStatus, m.UploadVerdict)
@@ -112,7 +121,7 @@ class Swap:
         self._answers = 0
 
     def status(self, client: Client, message: m.FcStatus, now_us: int) -> None:
-        """Begin to send once the first reference is flown."""
+        """Begin the upload once the vehicle tracks the first reference."""
         tracking = message.state == m.mavlink.TRIMTAB_STATE_TRACKING
         if self._sender is None and tracking and message.reference_tick != m.NO_TICK:
             tick = (message.reference_tick + self._at_us // TICK_US) & 0xFFFF_FFFF
@@ -122,19 +131,19 @@ class Swap:
             self._pump(client, now_us)
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        """Take the vehicle's answers."""
+        """Process an answer of the vehicle."""
         if self._sender is not None and self._sender.receive(message, now_us):
             self._answers += not self._end_us
             self._pump(client, now_us)
 
     def advance(self, client: Client, now_us: int) -> None:
-        """Act on the time that has passed."""
+        """Send what is due at this time."""
         if self._sender is not None:
             self._sender.advance(now_us)
             self._pump(client, now_us)
 
     def end(self, live: str) -> SwapEnd:
-        """Return what became of it, `live` being the reference that the vehicle says it flew last."""
+        """Return the outcome, where `live` is the id of the reference that the vehicle flew last."""
         sender, happened = self._sender, live == self._reference.id
         seconds = share = reason = None
         if sender is not None and sender.over:
@@ -142,11 +151,11 @@ class Swap:
             share = (sender.messages_sent + self._answers) / (SLOTS_PER_S * max(seconds, 1e-3))
         if not happened:
             if sender is None:
-                reason = "its time never came"
+                reason = "the first reference was never tracked"
             elif not sender.over:
-                reason = f"{sender.held} of {sender.chunks} chunks were on board in time"
+                reason = f"only {sender.held} of {sender.chunks} chunks were on board in time"
             else:
-                reason = sender.reason or "called off on board"
+                reason = sender.reason or "cancelled on board"
         return SwapEnd(
             reference=self._reference.id,
             at_s=self._at_us * 1e-6,

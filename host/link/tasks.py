@@ -1,7 +1,7 @@
-"""What a host asks of a vehicle, each a small state machine that asks again until it is answered or gives up.
+"""Tasks: requests to a vehicle. Each is a small state machine that repeats its request until it is answered.
 
-A task queues messages through the client and sees those it names in `wants`. It ends with a `result`, or
-raises one of `trimtab.host.base.errors` out of `receive` or `advance`.
+A task queues messages through the client and receives the types listed in `wants`. It ends with a `result`,
+or raises one of `trimtab.host.base.errors` from `receive` or `advance`.
 """
 
 from __future__ import annotations
@@ -18,11 +18,11 @@ PATIENCE_US = 5_000_000
 RETRY_US = 300_000
 _VEHICLE_SYSTEM = m.VEHICLE[0]
 TEXT_WAIT_US = 150_000
-"""Time after a refusal in which the vehicle's own words may still arrive."""
+"""Time after a refusal in which the status text with the reason may still arrive."""
 
 
 class Task:
-    """A task before it has begun; `deadline_us` is when `advance` wants to be called at the latest."""
+    """Base class of tasks. `deadline_us` is the latest time of the next call of `advance`."""
 
     wants: tuple[type[Message], ...] = ()
 
@@ -32,17 +32,17 @@ class Task:
         self.deadline_us = NEVER_US
 
     def begin(self, client: Client, now_us: int) -> None:
-        """Queues the first messages."""
+        """Queue the first messages."""
         self.deadline_us = now_us
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
-        """Take a message of one of the wanted types."""
+        """Process a message of one of the types in `wants`."""
 
     def advance(self, client: Client, now_us: int) -> None:
-        """Take note of the time."""
+        """Act on the time: repeat a request or give up."""
 
     def finish(self, result: Any = None) -> None:
-        """End the task."""
+        """End the task with a result."""
         self.result = result
         self.done = True
         self.deadline_us = NEVER_US
@@ -50,19 +50,19 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Who answered: id of the vehicle file it was set up for, uid of its power-up (hex)."""
+    """Identity of a vehicle: id of the vehicle file it was set up with, and uid of its power-up (hex)."""
 
     vehicle_id: str
     uid: str
 
 
 class FindVehicle(Task):
-    """Result: the Identity of the vehicle at the port. Raises LinkError where none of ours is.
+    """Find the vehicle at the port. The result is its Identity. Raises LinkError if there is none.
 
     Parameters
     ----------
     port
-        how messages call the port.
+        Name of the port in messages.
     """
 
     wants = (m.Heartbeat, m.AutopilotVersion)
@@ -91,7 +91,7 @@ class FindVehicle(Task):
         version = m.dialect_version(message)
         if version is None:
             raise LinkError(
-                f"{self._port}: a MAVLink vehicle, but none that speaks Trimtab's dialect; check the port"
+                f"{self._port}: this MAVLink vehicle does not speak Trimtab's dialect; check the port"
             )
         self._check_dialect(version)
         if not self._met:
@@ -121,32 +121,38 @@ class FindVehicle(Task):
     def _why(self, client: Client) -> str:
         seconds = f"{self._patience_us / 1e6:g} s"
         if self._met:
-            return "the vehicle's heartbeat arrives but it answers nothing; check the way to it"
+            return "the vehicle's heartbeat arrives but it does not answer; check the uplink"
         if client.others:
             systems = ", ".join(map(str, sorted(client.others)))
             return (
-                f"no vehicle of ours (MAVLink system {_VEHICLE_SYSTEM}) in {seconds}, only system {systems}; "
+                f"no Trimtab vehicle (MAVLink system {_VEHICLE_SYSTEM}) in {seconds}, only system {systems}; "
                 "check the port"
             )
         if client.heard_us is not None:
-            return f"a vehicle is heard, but no heartbeat of it came in {seconds}; check the way to it"
+            return f"a vehicle sends messages, but no heartbeat arrived in {seconds}; check the link"
         if client.ground_radio:
             return f"the radio answers, but no vehicle was heard in {seconds}; is it on?"
         if client.codec.bad_bytes:
             return (
-                f"no vehicle, {client.codec.bad_bytes} bytes of something else in {seconds}; "
+                f"no vehicle, but {client.codec.bad_bytes} bytes that are not MAVLink in {seconds}; "
                 "check port and baud rate"
             )
         return f"no vehicle, nothing was received in {seconds}; check the port and that the vehicle is on"
 
 
 class Command(Task):
-    """Result: None once the vehicle accepted. Raises Refused with the vehicle's words, LinkError on silence.
+    """Send a command until the vehicle accepts it.
+
+    Raises Refused with the vehicle's reason, or LinkError if the vehicle does not answer.
 
     Parameters
     ----------
     number
-        MAV_CMD. what: how messages call it. patience_us: how long "not now" is asked again.
+        MAV_CMD value.
+    what
+        Name of the action in messages.
+    patience_us
+        How long to repeat a command that is temporarily rejected.
     """
 
     wants = (m.CommandAck,)
@@ -165,7 +171,7 @@ class Command(Task):
         self._refused: int | None = None
 
     def begin(self, client: Client, now_us: int) -> None:
-        self._said = client.said
+        self._texts_before = client.text_count
         self._end_us = now_us + self._patience_us
         self._silent_us = now_us + PATIENCE_US
         self._send(client, now_us)
@@ -190,21 +196,21 @@ class Command(Task):
         if self._refused is not None:
             later = self._refused == mavlink.MAV_RESULT_TEMPORARILY_REJECTED
             if not later or now_us >= self._end_us:
-                raise Refused(f"the vehicle refuses to {self._what}: {self._words(client)}")
+                raise Refused(f"the vehicle refuses to {self._what}: {self._reason(client)}")
             self._refused = None
         elif now_us >= self._silent_us:
-            raise LinkError(f"the vehicle does not answer when told to {self._what}; check the link")
+            raise LinkError(f"the vehicle does not answer the command to {self._what}; check the link")
         self._send(client, now_us)
 
-    def _words(self, client: Client) -> str:
-        """Return the reason that the vehicle says with every refusal, unless the radio lost it."""
-        said = client.said_since(self._said)
-        reasons = [text.partition("refused: ")[2] for text in said if "refused: " in text]
-        return (reasons or said or [f"its reason was lost on the way, result {self._refused}"])[-1]
+    def _reason(self, client: Client) -> str:
+        """Return the reason from the vehicle's status text, or the result code if the text was lost."""
+        texts = client.texts_since(self._texts_before)
+        reasons = [text.partition("refused: ")[2] for text in texts if "refused: " in text]
+        return (reasons or texts or [f"the reason was lost on the link, result {self._refused}"])[-1]
 
 
 class FreshStatus(Task):
-    """Result: the first FC_STATUS of a vehicle that has booted. Raises LinkError where none arrives."""
+    """Wait for an FC_STATUS of a booted vehicle, which is the result. Raises LinkError if none arrives."""
 
     wants = (m.FcStatus,)
 
@@ -218,11 +224,11 @@ class FreshStatus(Task):
             self.finish(message)
 
     def advance(self, client: Client, now_us: int) -> None:
-        raise LinkError("the vehicle reports no status, or never ends booting; check the link")
+        raise LinkError("the vehicle reports no status, or does not finish booting; check the link")
 
 
 class SettleClock(Task):
-    """Result: None once the clock comparison has settled. Raises LinkError where no answers come."""
+    """Wait until the clock comparison has settled. Raises LinkError if no answers come."""
 
     CHECK_US = 10_000
 

@@ -1,4 +1,4 @@
-"""Uploads from beginning to end, for verbs and whoever else has a blob for a vehicle."""
+"""Complete uploads of a blob, to a vehicle in this process or at a serial port."""
 
 from __future__ import annotations
 
@@ -15,19 +15,19 @@ from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import FindVehicle, FreshStatus, Identity, Task
 from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.vehicle import Vehicle
-from trimtab.host.link.whose import check_same_vehicle, neutral_feedforward
+from trimtab.host.link.vehicle_match import check_same_vehicle, neutral_feedforward
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Blob
 
 STALE_MAX = 5
-"""Statuses that may still be under way from before the commit."""
+"""Greatest number of statuses that may arrive late, from before the commit."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class UploadResult:
-    """One upload: kind and id of the blob, time, frames sent and retransmitted.
+    """One upload: kind and id of the blob, duration, frames sent and retransmitted.
 
-    `read_back` says whether what is live was read back and is the same byte by byte.
+    `read_back`: the live blob was read back and is identical byte by byte.
     """
 
     kind: str
@@ -58,23 +58,23 @@ def upload_session(
 ) -> Session:
     """Return a session that makes a blob live on the vehicle at a port; its result is an UploadResult.
 
-    None stands for the neutral feed-forward of whatever vehicle is there. `compare`: what is live afterwards
-    is read back, and LinkError raised where it is another.
+    If `wanted` is None, the session uploads the neutral feed-forward for the vehicle that answers. With
+    `compare`, it reads the live blob back and raises LinkError if it differs.
     """
 
     def script(session: Session) -> Generator[Task, Any, UploadResult]:
-        say = on_phase or (lambda phase: None)
+        notify = on_phase or (lambda phase: None)
         identity: Identity = yield FindVehicle(port)
         blob = neutral_feedforward(identity.vehicle_id) if wanted is None else wanted
         kind = blob.KIND.name.lower()
         check_same_vehicle(identity, blob.vehicle_id, what=f"the {kind}", port=port)
         yield FreshStatus()
-        say(f"sending {kind} {blob.id}")
+        notify(f"sending {kind} {blob.id}")
         begin_us = session.now_us
         sender = yield from make_live(blob, f"{kind} {blob.id}")
         seconds = (session.now_us - begin_us) * 1e-6
         if compare:
-            say(f"reading {kind} {blob.id} back")
+            notify(f"reading {kind} {blob.id} back")
             yield from _compare(session, blob, port)
         return UploadResult(
             kind=kind,
@@ -89,16 +89,16 @@ def upload_session(
 
 
 def _compare(session: Session, blob: Blob, port: str) -> Generator[Task, Any, None]:
-    """Raise LinkError where what is live is not this blob byte by byte."""
+    """Read the live blob back. Raise LinkError if it is not identical byte by byte."""
     name = blob.KIND.name.lower()
     status: m.FcStatus = yield FreshStatus()
     for _ in range(STALE_MAX):
         if id_on_board(status, NAMES[name]) == blob.id:
             break
         status = yield FreshStatus()
-    found = yield from read_back(session, name, status, port)
-    if found.data != blob.to_bytes():
-        raise LinkError(f"{port}: {name} {blob.id} reads back otherwise; upload it again")
+    download = yield from read_back(session, name, status, port)
+    if download.data != blob.to_bytes():
+        raise LinkError(f"{port}: {name} {blob.id} differs when read back; upload it again")
 
 
 def upload_port(
@@ -108,10 +108,10 @@ def upload_port(
     *,
     compare: bool = False,
 ) -> UploadResult:
-    """Return the result of an upload at a serial port in real time. Raises Refused, LinkError or UsageError.
+    """Upload a blob at a serial port in real time. Raises Refused, LinkError or UsageError.
 
-    None: the neutral feed-forward. `compare`: read back what is live. At Ctrl-C, SIGTERM or SIGHUP the
-    vehicle is told to forget what it was sent (KeyboardInterrupt); at a second Ctrl-C it is not.
+    If `blob` is None, upload the neutral feed-forward. With `compare`, read the live blob back. At Ctrl-C,
+    SIGTERM or SIGHUP the upload is cancelled on board (KeyboardInterrupt); at a second Ctrl-C it is not.
     """
     session = upload_session(blob, port, on_phase, compare=compare)
     with contextlib.closing(open_port(port)) as line:
@@ -126,7 +126,7 @@ def upload_lockstep(
     *,
     compare: bool = False,
 ) -> UploadResult:
-    """Return the same with a vehicle in this process."""
+    """Upload a blob to a vehicle in this process."""
     session = upload_session(blob, "vehicle", on_phase, compare=compare)
     run_lockstep(session, vehicle)
     return session.outcome()

@@ -16,7 +16,7 @@ from trimtab.protocol.upload.transfer import tag_of
 
 
 class SendBlob(Task):
-    """Result: the UploadSender once the blob is live. Raises Refused, or LinkError on silence."""
+    """Upload a blob. The result is the UploadSender. Raises Refused, or LinkError if no answer comes."""
 
     wants = (m.UploadStatus, m.UploadVerdict)
 
@@ -50,7 +50,7 @@ class SendBlob(Task):
 
 
 class AbortBlob(Task):
-    """Result: None once the vehicle holds nothing of the blob any more, or does not say so."""
+    """Cancel an upload. The task ends when the vehicle confirms, or after the last attempt."""
 
     wants = (m.UploadStatus,)
 
@@ -66,7 +66,7 @@ class AbortBlob(Task):
         self.advance(client, now_us)
 
     def advance(self, client: Client, now_us: int) -> None:
-        if self._attempts == 0 or not self._messages:  # nothing to abort where the upload was over
+        if self._attempts == 0 or not self._messages:  # without messages the upload was already over
             self.finish()
             return
         self._attempts -= 1
@@ -84,9 +84,7 @@ class AbortBlob(Task):
 
 
 def make_live(blob: Blob, what: str) -> Generator[Task, Any, UploadSender]:
-    """Yield the sender of a blob that is live now, for scripts; at Ctrl-C the vehicle is told to forget
-    it.
-    """
+    """Make a blob live and return its sender. For session scripts. At Ctrl-C, cancel the upload on board."""
     task = SendBlob(blob.to_bytes(), blob.KIND, what=what)
     try:
         return (yield task)

@@ -1,6 +1,6 @@
-"""What the flight director needs of a vehicle that runs in this process, in lock-step with its host.
+"""Interface of a vehicle that runs in this process, in lock-step with its host.
 
-Simulated vehicles are found through the entry-point group `trimtab.vehicles`; nothing here imports them.
+Simulated vehicles are found through the entry-point group `trimtab.vehicles`. The host does not import them.
 """
 
 from __future__ import annotations
@@ -19,9 +19,7 @@ class Vehicle(Protocol):
     now_us: int
 
     def run_until(self, t_us: int) -> int:
-        """Return the time afterwards: `t_us`, or earlier where serial bytes or datagrams wait for the
-        host.
-        """
+        """Run until `t_us`, or until serial bytes or datagrams wait for the host. Return the time reached."""
         ...
 
     def serial_read(self) -> bytes:
@@ -29,27 +27,24 @@ class Vehicle(Protocol):
         ...
 
     def serial_write(self, data: bytes) -> None:
-        """Bytes leave the host."""
+        """Send bytes from the host's port to the vehicle."""
         ...
 
     def mocap_read(self) -> list[bytes]:
-        """Return the poses that have arrived since the last call, one ATT_POS_MOCAP a datagram."""
+        """Return the datagrams since the last call; each holds one ATT_POS_MOCAP pose."""
         ...
 
     def power_cycle(self, flight: int) -> None:
-        """Time begins anew at 0 with empty queues and the given flight index; uploaded blobs stay."""
+        """Restart at time 0 with empty queues and the given flight index. Uploaded blobs stay."""
         ...
 
     def close(self) -> None: ...
 
 
 def vehicle_class(name: str = "sitl") -> Any:
-    """Return the class of simulated vehicles registered under `name`.
-
-    Raises UsageError where there is none.
-    """
-    found = {point.name: point for point in entry_points(group=GROUP)}
-    if name not in found:
-        known = ", ".join(sorted(found)) or "none is installed"
-        raise UsageError(f"no simulated vehicle called {name} (known: {known}); install trimtab as a whole")
-    return found[name].load()
+    """Return the class of simulated vehicles registered under `name`. Raises UsageError if there is none."""
+    points = {point.name: point for point in entry_points(group=GROUP)}
+    if name not in points:
+        known = ", ".join(sorted(points)) or "none is installed"
+        raise UsageError(f"no simulated vehicle called {name} (known: {known}); install the complete trimtab")
+    return points[name].load()

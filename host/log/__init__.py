@@ -1,4 +1,4 @@
-"""Flight logs: written while flying, read as arrays, described, recovered."""
+"""Flight logs: write them in flight, read them as arrays, describe and recover them."""
 
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.flight import read_flight

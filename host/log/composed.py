@@ -1,4 +1,4 @@
-"""What was flown where one reference took over from another: one reference, for all that reads logs."""
+"""Composition of the two references of a flight with a swap into the one that was flown."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ from trimtab.host.log.tracking import reference_at
 from trimtab.protocol.blobs import Node, Reference, YawNode
 
 CLOSEST_US = 20_000
-"""Nodes of the first reference nearer to the takeover are left out: float32 would ruin the jerk between."""
+"""Nodes of the first reference closer to the swap than this are left out: float32 distorts their jerk."""
 
 
 def swap_us(statuses: Sequence[Any], then: Reference) -> tuple[int, int] | None:
-    """Return the vehicle's times at which the first reference began and `then` took over; None where it did
-    not.
-    """
+    """Return the start of the first reference and of `then` on the vehicle's clock; None without a swap."""
     begun = [message for message in statuses if message.tracking_start_us]
     after = [message.tracking_start_us for message in begun if message.reference_id == then.id]
     before = [message.tracking_start_us for message in begun if message.reference_id != then.id]
@@ -26,9 +24,7 @@ def swap_us(statuses: Sequence[Any], then: Reference) -> tuple[int, int] | None:
 
 
 def composed(first: Reference, then: Reference, at_us: int) -> Reference:
-    """Return the first reference's nodes up to `at_us`, then those of `then`; positions relative to one
-    origin.
-    """
+    """Return a reference of the nodes of `first` up to `at_us` and then those of `then`, with one origin."""
     shift = [b - a for a, b in zip(first.origin_ned, then.origin_ned, strict=True)]
     nodes = [node for node in first.nodes if node.t_us == 0 or node.t_us <= at_us - CLOSEST_US]
     for t_us, state in then.nodes:

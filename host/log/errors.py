@@ -1,4 +1,4 @@
-"""What goes wrong with logs, for the command line: exit code 5; too little in them: 2."""
+"""Errors about logs: exit code 5 for unusable files, 2 for too little data."""
 
 from __future__ import annotations
 
@@ -6,14 +6,12 @@ from trimtab.host.base.errors import TrimtabError
 
 
 class LogError(TrimtabError):
-    """A log that cannot be read or written; the message says which file, what is wrong and what to do."""
+    """A log cannot be read or written. The message names the file, the problem and the remedy."""
 
     exit_code = 5
 
 
 class TooLittleData(TrimtabError, ValueError):
-    """A log lacks what its flight is rebuilt from, or the logs are too little to judge; the message says
-    what.
-    """
+    """Data needed to process a flight is missing, or the flights are too few. The message says what."""
 
     exit_code = 2

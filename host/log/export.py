@@ -1,4 +1,4 @@
-"""A log as tables: one CSV file a topic, one column a number."""
+"""Export of a log as tables: one CSV file for each topic, one column for each number."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ _KINDS = {topic.name: topic.message for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPI
 
 
 def file_name(topic: str) -> str:
-    """Return the name of a topic's table: /fc/control goes to fc-control.csv."""
+    """Return the file name of a topic's table, for instance fc-control.csv for /fc/control."""
     return topic.strip("/").replace("/", "-") + ".csv"
 
 
 TABLES = tuple(sorted(map(file_name, _KINDS)))
-"""The names of all tables that there can be."""
+"""Names of all possible tables."""
 
 
 def csv_tables(log: Path) -> dict[str, tuple[int, str]]:
-    """Return number of rows and text by file name; topics without messages are left out.
+    """Return (number of rows, text) by file name. Topics without messages are left out.
 
-    Columns: log_time_us, publish_time_us (from arm), then the message's fields, those with several numbers as
-    name_0, name_1, ... Raises LogError where the log cannot be read.
+    The columns are log_time_us, publish_time_us (from arm), then the fields of the message. A field with
+    several numbers has the columns name_0, name_1, ... Raises LogError if the log cannot be read.
     """
     return {
         file_name(topic): (len(entries), _table(entries, _KINDS[topic]))

@@ -65,7 +65,7 @@ def scan_closed(path: Path) -> Scan:
         )
     if PROVENANCE not in records.metadata or VEHICLE_FILE not in records.attachments:
         raise LogError(
-            f"{records.path}: an MCAP file, but no trimtab log; foreign logs come in by `trimtab import`"
+            f"{records.path}: an MCAP file, but not a trimtab log; import foreign logs with `trimtab import`"
         )
     return records
 
@@ -80,7 +80,7 @@ def to_flight(records: Scan, *, leave_out: Collection[str] = ()) -> Flight:
     except (DecodeError, ValueError, KeyError, ConfigurationError) as error:
         text = " ".join(str(error).split())
         raise LogError(
-            f"{records.path}: damaged ({text}); take the log again from where it was flown"
+            f"{records.path}: damaged ({text}); copy the log again from the machine that flew it"
         ) from error
 
 

@@ -1,4 +1,4 @@
-"""Write the log of a flight that other people recorded, from arrays."""
+"""Writer for logs of imported flights, from arrays."""
 
 from __future__ import annotations
 
@@ -34,12 +34,13 @@ def write_imported(
 ) -> dict[str, int]:
     """Write the log at `path`; return the number of messages of each topic.
 
-    All times are us from the flight's first sample, on one clock, none negative. tracking_us: the part that
-    learning and tracing use; all poses by default. session: origin of the data, for the log's provenance.
+    All times are non-negative us from the flight's first sample, on one clock. `tracking_us` is the interval
+    that learning and tracing use; by default it spans all poses. `session` is the origin of the data, for the
+    log's provenance.
     """
     start_us, end_us = tracking_us or (int(mocap.t_us[0]), int(mocap.t_us[-1]))
     if not 0 <= start_us < end_us:
-        raise ValueError(f"tracking from {start_us} to {end_us} us is no interval after the first sample")
+        raise ValueError(f"tracking from {start_us} to {end_us} us is not an interval after the first sample")
     first_us = min(int(track.t_us[0]) for track in (mocap, inputs, imu, battery) if track is not None)
     if first_us < 0:
         raise ValueError(f"a sample lies {-first_us} us before the start; shift the times")

@@ -1,4 +1,4 @@
-"""What a log holds, in few lines for people and one object for machines."""
+"""Description of a log, as lines of text and as JSON."""
 
 from __future__ import annotations
 
@@ -13,23 +13,23 @@ from trimtab.host.log.tracks import FAILSAFE_WORDS
 
 def describe(path: Path) -> dict[str, Any]:
     """Return the answer of `trimtab log info --json`. Raises LogError (exit code 5)."""
-    found = scan_closed(path)
-    flight = to_flight(found)
+    records = scan_closed(path)
+    flight = to_flight(records)
     topics: dict[str, Any] = {}
-    for topic, entries in sorted(found.by_topic().items()):
+    for topic, entries in sorted(records.by_topic().items()):
         span_s = (entries[-1].log_time_us - entries[0].log_time_us) * 1e-6 if entries else 0.0
         topics[topic] = {
             "messages": len(entries),
             "rate_hz": round((len(entries) - 1) / span_s, 2) if span_s > 0.0 else None,
         }
-    for channel in found.channels.values():
+    for channel in records.channels.values():
         topics[channel.topic]["sampling"] = channel.metadata.get("sampling")
     tracking = flight.tracking
     return {
-        "log": found.path.name,
-        "id": found.id,
+        "log": records.path.name,
+        "id": records.id,
         "kind": flight.kind,
-        "bytes": found.size,
+        "bytes": records.size,
         "duration_s": flight.duration_s,
         "vehicle": {"name": flight.vehicle.name, "id": flight.vehicle.id},
         "reference": flight.reference_id,
@@ -37,35 +37,35 @@ def describe(path: Path) -> dict[str, Any]:
         "tracking_whole": flight.tracking_whole,
         "failsafe": flight.failsafe,
         "link": link_report.link_report(flight) if flight.kind == "flight" else None,
-        "recovered": "recovery" in found.metadata,
+        "recovered": "recovery" in records.metadata,
         "topics": topics,
         "provenance": dict(flight.metadata),
     }
 
 
-def to_lines(told: dict[str, Any]) -> list[str]:
-    """Return the same for people."""
-    vehicle, size_kib = told["vehicle"], told["bytes"] / 1024
+def to_lines(info: dict[str, Any]) -> list[str]:
+    """Return the lines of text for the terminal, from the object that `describe` returns."""
+    vehicle, size_kib = info["vehicle"], info["bytes"] / 1024
     lines = [
-        f"{told['log']}  id {told['id']}  {size_kib:.0f} KiB  {told['duration_s']:.2f} s  {told['kind']}",
-        f"vehicle {vehicle['name']} ({vehicle['id']}), reference {told['reference'] or 'none'}",
+        f"{info['log']}  id {info['id']}  {size_kib:.0f} KiB  {info['duration_s']:.2f} s  {info['kind']}",
+        f"vehicle {vehicle['name']} ({vehicle['id']}), reference {info['reference'] or 'none'}",
     ]
-    tracking = told["tracking_s"]
+    tracking = info["tracking_s"]
     if tracking is None:
         lines.append("no tracking phase")
     else:
-        whole = "" if told["tracking_whole"] else ", cut short"
+        whole = "" if info["tracking_whole"] else ", cut short"
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
-    if told["failsafe"]:
-        lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(told['failsafe'], told['failsafe'])}")
-    if told["link"] is not None:
-        lines += link_report.to_lines(told["link"])
-    if told["recovered"]:
+    if info["failsafe"]:
+        lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(info['failsafe'], info['failsafe'])}")
+    if info["link"] is not None:
+        lines += link_report.to_lines(info["link"])
+    if info["recovered"]:
         lines.append("recovered from a damaged file")
-    width = max(len(topic) for topic in told["topics"])
-    for topic, row in told["topics"].items():
+    width = max(len(topic) for topic in info["topics"])
+    for topic, row in info["topics"].items():
         rate = "" if row["rate_hz"] is None else f"{row['rate_hz']:8.1f} Hz"
         lines.append(f"  {topic:<{width}}  {row['messages']:>7}  {rate:>11}  {row['sampling']}")
-    if told["topics"].get(MOCAP_POSE, {}).get("messages") == 0:
+    if info["topics"].get(MOCAP_POSE, {}).get("messages") == 0:
         lines.append("no poses arrived")
     return lines

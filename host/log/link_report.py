@@ -1,4 +1,4 @@
-"""How the link did in a flight: what log and both radios say of it, from the log alone."""
+"""Report of the link quality during a flight, from its log."""
 
 from __future__ import annotations
 
@@ -10,41 +10,44 @@ from trimtab.host.log.tracks import Flight, LinkHealth
 
 
 def link_report(flight: Flight) -> dict[str, Any]:
-    """Return the `link` object of `fly` and `log info`; what the log does not know is None.
+    """Return the `link` object of `fly` and `log info`. Values that the log does not contain are None.
 
-    Counts and rates run from arm to the end of the log, the age of poses over the tracking phase, telemetry
-    over the whole log.
+    Counts and rates cover the time from arming to the end of the log. The age of poses covers the tracking
+    phase. Telemetry gaps cover the whole log.
     """
     return {**_radios(flight), **_host(flight.link), **_poses(flight), **_telemetry(flight)}
 
 
-def to_lines(told: dict[str, Any]) -> list[str]:
-    """Return the same for people."""
+def to_lines(report: dict[str, Any]) -> list[str]:
+    """Return the lines of text for the terminal, from the object that `link_report` returns."""
     lines = []
-    if told["frames_sent"] is not None:
+    if report["frames_sent"] is not None:
         ways = [
-            f"{100.0 * told[f'{way}_lost_share']:.1f} % {way}"
+            f"{100.0 * report[f'{way}_lost_share']:.1f} % {way}"
             for way in ("up", "down")
-            if told[f"{way}_lost_share"] is not None
+            if report[f"{way}_lost_share"] is not None
         ]
-        rtt = "" if told["rtt_ms"] is None else f", round trip {told['rtt_ms']:.1f} ms"
-        late = "" if told["rtt_ms_p99"] is None else f" ({told['rtt_ms_p99']:.1f} at 99 %)"
-        what = f" ({', '.join(ways)})" if ways else ""
-        lines.append(f"link: {told['frames_sent']} frames, {told['frames_lost']} lost{what}{rtt}{late}")
-    if told["mocap_age_ms_p99"] is not None:
+        rtt = "" if report["rtt_ms"] is None else f", round trip {report['rtt_ms']:.1f} ms"
+        late = "" if report["rtt_ms_p99"] is None else f" ({report['rtt_ms_p99']:.1f} at 99 %)"
+        by_direction = f" ({', '.join(ways)})" if ways else ""
         lines.append(
-            f"poses on board {told['mocap_age_ms_p50']:.0f} ms old, {told['mocap_age_ms_p99']:.0f} at 99 %, "
-            f"{_shown(told['mocap_age_ms_max'], '.0f')} at most, {_shown(told['poses_lost'], 'd')} lost"
+            f"link: {report['frames_sent']} frames, {report['frames_lost']} lost{by_direction}{rtt}{late}"
+        )
+    if report["mocap_age_ms_p99"] is not None:
+        lines.append(
+            f"poses on board {report['mocap_age_ms_p50']:.0f} ms old, "
+            f"{report['mocap_age_ms_p99']:.0f} at 99 %, {_shown(report['mocap_age_ms_max'], '.0f')} at most, "
+            f"{_shown(report['poses_lost'], 'd')} lost"
         )
     trouble = [
-        f"{told[key]} {words}"
+        f"{report[key]} {words}"
         for key, words in (
             ("refused", "messages refused by full queues"),
             ("broken", "long messages broken"),
             ("overruns", "bytes overrun"),
             ("bad_bytes", "bytes damaged"),
         )
-        if told[key]
+        if report[key]
     ]
     if trouble:
         lines.append("link: " + ", ".join(trouble))
@@ -58,31 +61,31 @@ def _shown(value: float | None, form: str) -> str:
 def _radios(flight: Flight) -> dict[str, Any]:
     link = flight.link
     radios = None if link is None else link.radios
-    told: dict[str, Any] = {}
+    report: dict[str, Any] = {}
     for way in ("up", "down"):
         sent = None if radios is None else radios[f"{way}_sent"]
-        # What came twice hides a loss, what is in the air looks like one: a few frames either way.
+        # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.
         lost = None if radios is None or sent is None else max(0, sent - radios[f"{way}_received"])
         share = lost / sent if sent and lost is not None else None
-        told |= {f"{way}_sent": sent, f"{way}_lost": lost, f"{way}_lost_share": share}
+        report |= {f"{way}_sent": sent, f"{way}_lost": lost, f"{way}_lost_share": share}
     for name in ("refused", "replaced", "broken"):
-        told[name] = None if radios is None else radios[name]
+        report[name] = None if radios is None else radios[name]
     status = flight.status
     on_board = None if status is None else status.receive_overruns
-    told["overruns"] = _sum(None if radios is None else radios["overruns"], on_board)
+    report["overruns"] = _sum(None if radios is None else radios["overruns"], on_board)
     bad = _sum(None if radios is None else radios["bad_bytes"], None if status is None else status.bad_bytes)
-    told["bad_bytes"] = bad if link is None else (bad or 0) + _grown(link.bad_bytes)
-    return told
+    report["bad_bytes"] = bad if link is None else (bad or 0) + _increase(link.bad_bytes)
+    return report
 
 
 def _sum(of_radios: int | None, on_board: Any) -> int | None:
     parts = [] if of_radios is None else [of_radios]
-    parts += [] if on_board is None else [_grown(on_board)]
+    parts += [] if on_board is None else [_increase(on_board)]
     return sum(parts) if parts else None
 
 
-def _grown(counter: Any) -> int:
-    """How much a count has grown over the log."""
+def _increase(counter: Any) -> int:
+    """Return the increase of a counter over the log."""
     return int(counter[-1] - counter[0])
 
 
@@ -93,15 +96,15 @@ def _host(link: LinkHealth | None) -> dict[str, Any]:
         return dict.fromkeys((*keys, "rtt_ms", "rtt_ms_p99", "clock_sd_ms"))
     span_s = (link.t_us[-1] - link.t_us[0]) * 1e-6
     rtts_us = link.rtt_last_us[link.rtt_last_us > 0.0]
-    if not len(rtts_us):  # a log from before single round trips were kept
+    if not len(rtts_us):  # older logs hold only the smoothed round trip
         rtts_us = link.rtt_us[link.rtt_us > 0.0]
     return {
         "frames_sent": int(link.frames_sent[-1]),
         "frames_lost": int(link.frames_lost[-1]),
-        **{name: _grown(getattr(link, name)) for name in names},
-        "messages_repeated": _grown(link.frames_repeated),
-        "bytes_up_s": _grown(link.bytes_sent) / span_s if span_s > 0.0 else None,
-        "bytes_down_s": _grown(link.bytes_received) / span_s if span_s > 0.0 else None,
+        **{name: _increase(getattr(link, name)) for name in names},
+        "messages_repeated": _increase(link.frames_repeated),
+        "bytes_up_s": _increase(link.bytes_sent) / span_s if span_s > 0.0 else None,
+        "bytes_down_s": _increase(link.bytes_received) / span_s if span_s > 0.0 else None,
         "rtt_ms": float(np.median(rtts_us)) * 1e-3 if len(rtts_us) else None,
         "rtt_ms_p99": float(np.percentile(rtts_us, 99.0)) * 1e-3 if len(rtts_us) else None,
         "clock_sd_ms": float(np.median(link.clock_offset_sd_us)) * 1e-3,
@@ -109,7 +112,7 @@ def _host(link: LinkHealth | None) -> dict[str, Any]:
 
 
 def _poses(flight: Flight) -> dict[str, Any]:
-    told: dict[str, Any] = dict.fromkeys(
+    report: dict[str, Any] = dict.fromkeys(
         ("mocap_age_ms_p50", "mocap_age_ms_p99", "mocap_age_ms_max", "poses_lost")
     )
     estimate, status, mocap = flight.estimate, flight.status, flight.mocap
@@ -119,18 +122,20 @@ def _poses(flight: Flight) -> dict[str, Any]:
             keep = (estimate.t_us >= start_us) & (estimate.t_us <= end_us)
             if keep.any():
                 ages_ms = estimate.mocap_age_s[keep] * 1e3
-                told["mocap_age_ms_p50"], told["mocap_age_ms_p99"] = np.percentile(
+                report["mocap_age_ms_p50"], report["mocap_age_ms_p99"] = np.percentile(
                     ages_ms, (50.0, 99.0)
                 ).tolist()
         if status is not None:
-            # A status tells of the time since the one before.
+            # A status covers the time since the previous one.
             ages_us = status.mocap_age_max_us[(status.t_us > start_us) & (status.t_us <= end_us)]
-            told["mocap_age_ms_max"] = float(ages_us.max()) * 1e-3 if len(ages_us) and ages_us.max() else None
+            report["mocap_age_ms_max"] = (
+                float(ages_us.max()) * 1e-3 if len(ages_us) and ages_us.max() else None
+            )
     if status is not None and mocap is not None and len(status.t_us) > 1:
-        # The poses on their way at both ends are as many, give or take the few that came late.
-        seen = np.count_nonzero((mocap.t_us > status.t_us[0]) & (mocap.t_us <= status.t_us[-1]))
-        told["poses_lost"] = max(0, int(seen) - _grown(status.poses_used))
-    return told
+        # Poses in transit at both ends cancel, except for a few that arrive late.
+        sent = np.count_nonzero((mocap.t_us > status.t_us[0]) & (mocap.t_us <= status.t_us[-1]))
+        report["poses_lost"] = max(0, int(sent) - _increase(status.poses_used))
+    return report
 
 
 def _telemetry(flight: Flight) -> dict[str, Any]:

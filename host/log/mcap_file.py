@@ -1,8 +1,7 @@
-"""Writes MCAP files: provenance first, then zstd chunks, index and footer last.
+"""Writer for MCAP files: provenance first, then zstd chunks, then the index and footer.
 
-Records are the mcap package's own; what is written here is the path of a message into its chunk and into the
-chunk's index, which a flight takes hundreds of times a second and the package's general writer takes three
-times as long for.
+Record types come from the mcap package. This module adds messages to chunks and their index, which happens
+hundreds of times a second in flight. The package's own writer takes three times as long.
 """
 
 from __future__ import annotations
@@ -44,14 +43,14 @@ _FOOTER_HEAD = struct.Struct("<BQQQ")
 
 
 class Sink(Protocol):
-    """Where bytes go."""
+    """Destination of the bytes."""
 
     def write(self, data: bytes, /) -> object: ...
 
 
 @dataclass(frozen=True, kw_only=True)
 class _Written:
-    """What the summary says of the file so far."""
+    """Records of the summary section so far."""
 
     schemas: list[Schema]
     channels: list[Channel]
@@ -61,9 +60,9 @@ class _Written:
 
 
 class McapFile:
-    """One file being written to `sink`; metadata and attachments must come before the first message.
+    """An MCAP file that is being written to `sink`.
 
-    Every full chunk is written at once, as one piece.
+    Metadata and attachments must come before the first message. A full chunk is written in one piece.
     """
 
     def __init__(self, sink: Sink, library: str = "trimtab") -> None:
@@ -71,7 +70,7 @@ class McapFile:
         self._size = 0
         self._written = _Written(schemas=[], channels=[], chunks=[], attachments=[], metadata=[])
         self._chunk = bytearray()
-        self._index: dict[int, list[int]] = {}  # times and places in turn, by channel
+        self._index: dict[int, list[int]] = {}  # alternating times and offsets, by channel
         self._counts: dict[int, int] = {}
         self._first_us: int | None = None
         self._last_us = 0
@@ -88,7 +87,7 @@ class McapFile:
         self._put(data)
 
     def add_attachment(self, name: str, media_type: str, content: bytes) -> None:
-        """Write an attachment; it has no times of its own."""
+        """Write an attachment, with its times set to 0."""
         record = Attachment(create_time=0, log_time=0, name=name, media_type=media_type, data=content)
         data = _bytes(record)
         self._written.attachments.append(
@@ -105,7 +104,7 @@ class McapFile:
         self._put(data)
 
     def add_schema(self, name: str, descriptor: bytes, encoding: str = SchemaEncoding.Protobuf) -> int:
-        """Return the number of a new schema; it goes into the chunk under way."""
+        """Add a schema to the current chunk. Return its number."""
         number = len(self._written.schemas) + 1
         schema = Schema(id=number, name=name, encoding=encoding, data=descriptor)
         self._written.schemas.append(schema)
@@ -119,7 +118,7 @@ class McapFile:
         metadata: Mapping[str, str],
         encoding: str = MessageEncoding.Protobuf,
     ) -> int:
-        """Return the number of a new channel; it goes into the chunk under way."""
+        """Add a channel to the current chunk. Return its number."""
         number = len(self._written.channels) + 1
         channel = Channel(
             id=number, topic=topic, message_encoding=encoding, metadata=dict(metadata), schema_id=schema
@@ -132,7 +131,7 @@ class McapFile:
     def add_message(
         self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0
     ) -> None:
-        """Add a message to the chunk under way, which is written where that fills it."""
+        """Add a message to the current chunk. Write the chunk if it is full."""
         chunk, index = self._chunk, self._index
         if not index:
             self._chunk_first_us = self._chunk_last_us = log_time
@@ -153,7 +152,7 @@ class McapFile:
             self._end_chunk()
 
     def finish(self) -> None:
-        """Write what is left, index and footer."""
+        """Write the last chunk, the index and the footer."""
         if self._index:
             self._end_chunk()
         self._put(_bytes(DataEnd(data_section_crc=0)))
@@ -167,7 +166,7 @@ class McapFile:
         self._put(summary + _bytes(footer) + MAGIC)
 
     def _summary(self, start: int) -> tuple[bytes, list[SummaryOffset]]:
-        """Return the groups of the summary section that begins at `start`, and where each of them lies."""
+        """Return the summary section that begins at `start`, and the offset of each of its groups."""
         written = self._written
         statistics = Statistics(
             message_count=sum(self._counts.values()),
@@ -200,7 +199,7 @@ class McapFile:
         return summary, offsets
 
     def _end_chunk(self) -> None:
-        """Write the chunk under way and begins another."""
+        """Write the current chunk and begin another."""
         raw = bytes(self._chunk)
         packed = self._compressor.compress(raw)
         first, last = self._chunk_first_us, self._chunk_last_us
@@ -245,7 +244,7 @@ class McapFile:
 
 
 def _bytes(record: McapRecord) -> bytes:
-    """Return a record as it stands in a file."""
+    """Return the encoded record."""
     builder = RecordBuilder()
     record.write(builder)
     return builder.end()

@@ -1,7 +1,7 @@
-"""A flight's tracking phase on a regular grid: states smoothed over the whole of it, with their covariance.
+"""Smoothed states of a flight's tracking phase on a regular grid, with their covariance.
 
-Position, velocity and acceleration come from the camera alone, attitude from gyro and camera together, body
-rate from the gyro. Nothing here knows an effect; a camera that is late makes states that are late.
+Position, velocity and acceleration come from the camera alone, attitude from gyro and camera together, and
+body rate from the gyro. No effect is corrected: if the camera is late, so are the states.
 """
 
 from __future__ import annotations
@@ -19,23 +19,38 @@ from trimtab.host.log.tracks import Control, Estimate, Flight
 
 STEP_S = 0.02
 _JERK_DENSITY = 20.0
-"""(m/s^3)^2/Hz: follows flights of some 20 m/s^3; 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
+"""(m/s^3)^2/Hz. Follows a jerk of some 20 m/s^3; noise of 1 mm at 100 Hz becomes 0.3 mm and 7 mm/s."""
 _DRIFT_DENSITY = 0.1
-"""rad^2/s^5, of the turn between gyro and camera: gyro bias and little else."""
+"""rad^2/s^5. Of the rotation between gyro and camera, which is mainly gyro bias."""
 _TILT_MAX = np.deg2rad(80.0)
-"""Of roll and pitch: beyond it Euler angles near their singularity."""
+"""Limit of roll and pitch; beyond it, Euler angles approach their singularity."""
 _GAP_S = 0.25
-"""Without a pose: what lies inside is the smoother's guess."""
+"""Time without a pose above which the states inside are extrapolated and do not count."""
 _LEAST_STEPS, _LEAST_POSES = 25, 50
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Prepared:
-    """A flight on a grid of step_s from start_s, its tracking phase's begin, s on the log's clock.
+    """Smoothed states of a flight on a grid of step `step_s`.
 
-    x (n, 12): p, v (NED), Theta, body rate (FRD). a (n, 3): acceleration, NED. path_covariance (n, 3, 3): of
-    p, v and a, the same for each axis. theta_sigma (n,), rad. seen (n,): whether poses are near. interval_s
-    between poses. notes: what was cut or left out, a sentence each.
+    Attributes
+    ----------
+    start_s
+        Start of the grid and of the tracking phase, s on the log's clock.
+    interval_s
+        Median interval between poses.
+    x
+        States (n, 12): p, v (NED), Theta, body rate (FRD).
+    a
+        Acceleration (n, 3), NED.
+    path_covariance
+        Covariance (n, 3, 3) of p, v and a, the same for each axis.
+    theta_sigma
+        Standard deviation of the attitude (n,), rad.
+    seen
+        Whether there are poses near each sample (n,).
+    notes
+        Sentences about what was cut or left out.
     """
 
     flight: Flight
@@ -51,16 +66,16 @@ class Prepared:
 
     @property
     def at_s(self) -> np.ndarray:
-        """(n,) times of the samples on the log's clock."""
+        """Times (n,) of the samples on the log's clock."""
         return self.start_s + self.step_s * np.arange(len(self.x))
 
 
 def prepare(flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: float = 0.0) -> list[Prepared]:
-    """Return the flights' tracking phases smoothed; poses are taken to be `latency_s` older than stamped.
+    """Return the smoothed tracking phases of flights, with poses shifted back by `latency_s`.
 
-    Together they cost less than one by one. A flight that leaves the range of Euler angles is cut there.
-    Raises TooLittleData where a log has no poses, no telemetry of the control law, no reference or no
-    tracking phase, or where too little is left of it.
+    Several flights together take less time than one by one. A flight that leaves the range of Euler angles is
+    cut at that point. Raises TooLittleData if a log has no poses, no control telemetry, no reference or no
+    tracking phase, or if its usable part is too short.
     """
     measured = [_measured(flight, step_s, latency_s) for flight in flights]
     if not measured:
@@ -71,7 +86,7 @@ def prepare(flights: Sequence[Flight], *, step_s: float = STEP_S, latency_s: flo
 
 
 def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: float) -> Prepared:
-    """Return a flight from what was measured and that smoothed."""
+    """Return the prepared flight from its measurements and their smoothed series."""
     flight, at = measured.flight, measured.path.at_s
     control, estimate = flight.control, flight.estimate
     assert control is not None
@@ -80,7 +95,7 @@ def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: flo
     theta[:, 2] = np.unwrap(theta[:, 2])
     rate = _gyro(control, estimate, at, step_s)
     notes = [
-        f"{flight.path.name}: {track.left_out} rows of {topic} hold what is no number; left out"
+        f"{flight.path.name}: {track.left_out} rows of {topic} with values that are not finite were left out"
         for topic, track in (("poses", flight.mocap), ("control", control), ("estimates", estimate))
         if track is not None and track.left_out
     ]
@@ -91,8 +106,8 @@ def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: flo
         where = f"{np.rad2deg(leaning[end]):.0f} deg of roll or pitch at {at[end] - at[0]:.2f} s"
         if end <= _LEAST_STEPS:
             raise TooLittleData(
-                f"{flight.path.name}: leaves the range of Euler angles ({where}) with less than half a "
-                "second of tracking before; use a flight that stays below 80 deg"
+                f"{flight.path.name}: leaves the range of Euler angles ({where}) after less than half a "
+                "second of tracking; use a flight that stays below 80 deg"
             )
         notes.append(f"{flight.path.name}: leaves the range of Euler angles, {where}; cut there")
     seen = _near(at[:end], measured.pose_s)
@@ -117,7 +132,7 @@ def _prepared(measured: _Measured, path: Smoothed, turned: Smoothed, step_s: flo
 
 
 def _near(at: np.ndarray, pose_s: np.ndarray) -> np.ndarray:
-    """(n,) whether the poses around each time are no further apart than the gap."""
+    """Return whether the poses around each time are at most `_GAP_S` apart (n,)."""
     after = np.searchsorted(pose_s, at)
     before = pose_s[np.clip(after - 1, 0, len(pose_s) - 1)]
     behind = pose_s[np.clip(after, 0, len(pose_s) - 1)]
@@ -126,10 +141,11 @@ def _near(at: np.ndarray, pose_s: np.ndarray) -> np.ndarray:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Measured:
-    """What of a flight is smoothed: `path`, positions; `turned`, the camera's turn from `gyro` and `base`.
+    """Series of a flight to be smoothed.
 
-    start_s of the tracking phase, which the grid begins at; pose_s (m,): times of the poses, interval_s
-    between them. base: the first of those turns; gyro: the gyro's attitudes on the grid.
+    `path` holds positions. `turned` is the rotation of the camera's attitude from the gyro's, relative to
+    `base`, the first such rotation. `gyro` is the gyro's attitude on the grid. `start_s` is the start of the
+    tracking phase and of the grid, `pose_s` (m,) the times of the poses, `interval_s` their median interval.
     """
 
     flight: Flight
@@ -143,7 +159,7 @@ class _Measured:
 
 
 def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
-    """Return what of a flight is smoothed. Raises TooLittleData."""
+    """Return the series of a flight to be smoothed. Raises TooLittleData."""
     needed = {
         "poses": flight.mocap,
         "control telemetry": flight.control,
@@ -183,18 +199,21 @@ def _measured(flight: Flight, step_s: float, latency_s: float) -> _Measured:
 
 
 def _noise(samples: np.ndarray) -> float:
-    """Sigma of white noise, from third differences: motion hardly enters them."""
+    """Return the standard deviation of white noise, from third differences, which motion hardly affects."""
     third = np.diff(samples, 3, axis=0)
     return max(float(1.4826 * np.median(np.abs(third)) / np.sqrt(20.0)), 1e-5)
 
 
 def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarray) -> tuple[Series, Any, Any]:
-    """Return what attitude comes from: the turn from gyro to camera, which the gyro's drift makes, beyond
-    the first; that first turn; and the gyro's attitudes at times `at`.
+    """Return the gyro-to-camera rotation relative to the first, the first, and the gyro's attitude at `at`.
+
+    The rotation changes with the gyro's drift.
     """
     length = 1e-6 * (control.t1_us - control.t0_us)
     gap = np.diff(control.t1_us * 1e-6, prepend=control.t0_us[0] * 1e-6)
-    covered = np.where(np.abs(gap - length) < 1e-4, length, gap)  # an invalid interval: the next one's mean
+    covered = np.where(
+        np.abs(gap - length) < 1e-4, length, gap
+    )  # the next mean also covers an invalid interval
     turns = Rotation.from_rotvec(control.gyro_mean * covered[:, None])
     knots_s = _knots_s(control)
     gyro = _cumulated(turns)
@@ -207,7 +226,7 @@ def _attitude(pose_s: np.ndarray, q: np.ndarray, control: Control, at: np.ndarra
 
 
 def _cumulated(turns: Any) -> Any:
-    """Products of the first 0, 1, .. n of n turns; in twice the reach at every pass."""
+    """Return the products of the first 0, 1, .. n of n rotations, by a prefix scan."""
     products = Rotation.concatenate([Rotation.identity(), turns])
     reach = 1
     while reach < len(products):
@@ -217,7 +236,7 @@ def _cumulated(turns: Any) -> Any:
 
 
 def _knots_s(control: Control) -> np.ndarray:
-    """(n + 1,) s: begin of what the first gyro mean stands for, then the end of each."""
+    """Return times (n + 1,), s: the start of the first gyro mean's interval, then the end of each."""
     sensed_us = control.sensed_us
     return np.concatenate([sensed_us[:1, 0], sensed_us[:, 1]]) * 1e-6
 
@@ -230,7 +249,7 @@ def _between(knots_s: np.ndarray, gyro: Any, turns: Any, at: np.ndarray) -> Any:
 
 
 def _gyro(control: Control, estimate: Estimate, at: np.ndarray, step_s: float) -> np.ndarray:
-    """Body rate (n, 3): the gyro's mean over the step around each time, less the bias estimated on board."""
+    """Return the body rate (n, 3): the gyro's mean over the step around each time, less the on-board bias."""
     edges = _knots_s(control)
     turned = np.concatenate(
         [np.zeros((1, 3)), np.cumsum(control.gyro_mean * np.diff(edges)[:, None], axis=0)]

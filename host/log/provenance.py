@@ -19,10 +19,10 @@ THEN_FILE = "then.ref"
 
 @dataclass(frozen=True, kw_only=True)
 class Provenance:
-    """What a log says about itself before its first message.
+    """Provenance of a log, written before its first message.
 
-    `then` is the reference that was to take over in flight. `session` holds what else is known and may be
-    told: session uid, host seed, flight index, version, command.
+    `then` is the reference that was to take over in flight. `session` holds further entries: session uid,
+    host seed, flight index, version, command.
     """
 
     vehicle: Vehicle
@@ -35,8 +35,8 @@ class Provenance:
     session: Mapping[str, str] = field(default_factory=dict)
 
     def metadata(self) -> dict[str, str]:
-        """Return the entries of the `trimtab` record, sorted; absent things have no entry."""
-        told = {
+        """Return the sorted entries of the `trimtab` record. Absent values have no entry."""
+        entries = {
             "format": FORMAT,
             "kind": self.kind,
             "time_unit": "us from arm" if self.kind == "flight" else "us from start",
@@ -44,14 +44,14 @@ class Provenance:
             "vehicle_name": self.vehicle.name,
         }
         if self.reference is not None:
-            told["reference_id"] = blob_id(self.reference)
+            entries["reference_id"] = blob_id(self.reference)
         if self.feedforward is not None:
-            told["feedforward_id"] = blob_id(self.feedforward)
+            entries["feedforward_id"] = blob_id(self.feedforward)
         if self.then is not None:
-            told["then_id"] = blob_id(self.then)
+            entries["then_id"] = blob_id(self.then)
         if self.model_id is not None:
-            told["model_id"] = self.model_id
-        taken = sorted(set(told) & set(self.session))
-        if taken:
-            raise ValueError(f"session entries {taken} have a meaning of their own")
-        return dict(sorted({**told, **self.session}.items()))
+            entries["model_id"] = self.model_id
+        reserved = sorted(set(entries) & set(self.session))
+        if reserved:
+            raise ValueError(f"session entries {reserved} are reserved names")
+        return dict(sorted({**entries, **self.session}.items()))

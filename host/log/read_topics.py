@@ -56,7 +56,7 @@ def _columns(messages: Sequence[Any], get: Callable[[Any], Sequence[float]], wid
     """Return a repeated field, (n, width). Raises ValueError for a message with another number of values."""
     rows = [get(message)[:] for message in messages]  # five times as fast as iterating over each
     if any(len(row) != width for row in rows):
-        raise ValueError(f"a message without its {width} values")
+        raise ValueError(f"a message does not have {width} values")
     return np.array(rows, dtype=float).reshape(len(rows), width)
 
 
@@ -202,7 +202,7 @@ def _optional(messages: Sequence[Any], name: str, width: int) -> Floats | None:
     return values[:, 0] if width == 1 else values
 
 
-def read_inputs(entries: Mapping[str, Sequence[Entry]], told: Mapping[str, str]) -> RecordedInputs | None:
+def read_inputs(entries: Mapping[str, Sequence[Entry]], metadata: Mapping[str, str]) -> RecordedInputs | None:
     """Return the recorded inputs of an imported flight; None if the log has none."""
     pairs = decoded(entries, topics.RECORDED_INPUTS, flight_pb2.RecordedInputs)
     messages = [message for _, message in pairs]
@@ -210,7 +210,7 @@ def read_inputs(entries: Mapping[str, Sequence[Entry]], told: Mapping[str, str])
         return None
     return RecordedInputs(
         t_us=_times([entry.publish_time_us for entry, _ in pairs]),
-        level=told["input_level"],
+        level=metadata["input_level"],
         motor=_optional(messages, "motor_command", 4),
         thrust_n=_optional(messages, "thrust_n", 1),
         torque_n_m=_optional(messages, "torque_n_m", 3),

@@ -1,4 +1,4 @@
-"""Makes a readable log of one whose writer was killed or whose file was cut."""
+"""Recovery of a log whose writer was killed or whose file was cut."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ SUFFIX = ".recovered.mcap"
 
 @dataclass(frozen=True, kw_only=True)
 class Recovery:
-    """What came out: `output` is None where the file was whole and nothing had to be written."""
+    """Result of a recovery. `output` is None if the file was undamaged and nothing was written."""
 
     source: Path
     output: Path | None
@@ -40,7 +40,7 @@ class Recovery:
 
 
 def default_output(path: Path) -> Path:
-    """Where the recovered log goes unless told otherwise: FLIGHT.recovered.mcap beside it."""
+    """Return the default path of the recovered log: FLIGHT.recovered.mcap beside the damaged one."""
     name = path.name.removesuffix(".part").removesuffix(".mcap")
     return path.with_name(name + SUFFIX)
 
@@ -58,7 +58,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     if not records.whole:
         if not times or PROVENANCE not in records.metadata:
             raise LogError(
-                f"{source}: cut before its first whole chunk, nothing is left to recover; fly again"
+                f"{source}: cut before the end of its first chunk, nothing can be recovered; fly again"
             )
         to_flight(records)
         target = output or default_output(source)
@@ -81,14 +81,14 @@ def _write_atomic(records: Scan, target: Path) -> None:
             _write(records, McapFile(stream))
         growing.replace(target)
     except OSError as error:
-        raise LogError(f"{target}: cannot be written ({error.strerror}), give another -o") from error
+        raise LogError(f"{target}: cannot be written ({error.strerror}); give another -o") from error
     finally:
         with contextlib.suppress(OSError):
             growing.unlink()
 
 
 def _write(records: Scan, writer: McapFile) -> None:
-    """Write the records, and what was recovered, to an MCAP file."""
+    """Write the records and a description of the recovery to an MCAP file."""
     for name, entries in records.metadata.items():
         writer.add_metadata(name, entries)
     writer.add_metadata("recovery", {"damage": records.damage, "bytes": str(records.size)})

@@ -1,7 +1,7 @@
-"""What a log file holds, record by record, as far as it is whole.
+"""Reader of all undamaged records of a log file.
 
-The file is read from its start to its end once, which works alike for closed files and for those whose
-writer was killed. Chunks are taken apart here and not by the mcap package, whose general reader is slower.
+The file is read once from start to end, which works for closed files and for those whose writer was killed.
+Chunks are parsed here, because the mcap package's reader is slower.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.writer import partial_path
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
-"""No chunk of ours comes near this; a length beyond it is damage, not data."""
+"""Trimtab's chunks are far smaller; a greater length means damage."""
 
 _DAMAGE = (
     McapError,  # EndOfFile, InvalidMagic, RecordLengthLimitExceeded
@@ -52,10 +52,10 @@ class Entry(NamedTuple):
 
 @dataclass(kw_only=True)
 class Scan:
-    """Everything whole in a file: schemas and channels by number, messages in file order, provenance.
+    """Undamaged content of a file: schemas and channels by number, messages in file order, provenance.
 
-    `whole` says that the file was closed by its writer and nothing in it is damaged; otherwise `damage` says
-    what is wrong first. `chunks` counts those that are whole; a damaged one is left out.
+    `whole`: the writer closed the file and nothing in it is damaged. Otherwise, `damage` describes the first
+    problem. `chunks` counts the undamaged chunks; damaged ones are left out.
     """
 
     path: Path
@@ -80,53 +80,53 @@ class Scan:
 
 
 def find_damaged(path: Path) -> Path:
-    """`path`, or the unfinished file beside it where a killed writer left only that."""
+    """Return `path`, or the unfinished file beside it if only that exists because the writer was killed."""
     partial = partial_path(path)
     return partial if not path.exists() and partial.exists() else path
 
 
 def scan(path: Path) -> Scan:
-    """All that is whole in the file at `path`, closed or cut.
+    """Return the undamaged content of the file at `path`, closed or cut.
 
-    Raises LogError where there is no such file or it is no MCAP file at all.
+    Raises LogError if the file does not exist or is not an MCAP file.
     """
     try:
         content = path.read_bytes()
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if not content.startswith(MAGIC):
-        what = "is empty" if not content else "is no MCAP file"
-        raise LogError(f"{path}: {what}; give a flight log written by trimtab fly or trimtab import")
+        problem = "is empty" if not content else "is not an MCAP file"
+        raise LogError(f"{path}: {problem}; give a flight log written by trimtab fly or trimtab import")
     result = Scan(path=path, id=hashlib.sha256(content).hexdigest()[:12], size=len(content))
     reader = StreamReader(
         BytesIO(content), emit_chunks=True, record_size_limit=min(len(content), CHUNK_LIMIT_BYTES)
     )
     chunks: list[Chunk] = []
-    wrong: list[BaseException] = []
+    errors: list[BaseException] = []
     try:
         for record in reader.records:
             if isinstance(record, Chunk):
-                chunks.append(record)  # taken apart last: the summary declares its channels too
+                chunks.append(record)  # parsed last, because the summary also declares channels
             else:
                 _take_record(result, record)
     except _DAMAGE as error:
-        wrong.append(error)
+        errors.append(error)
     for chunk in chunks:
         try:
             _take_chunk(result, chunk)
         except _DAMAGE as error:
-            wrong.append(error)
-    if wrong:
+            errors.append(error)
+    if errors:
         left_out = len(chunks) - result.chunks
         result.whole = False
-        result.damage = f"{type(wrong[0]).__name__}, {result.chunks} whole chunks" + (
+        result.damage = f"{type(errors[0]).__name__}, {result.chunks} whole chunks" + (
             f", {left_out} damaged" if left_out else ""
         )
     return result
 
 
 def _take_record(result: Scan, record: object) -> None:
-    """Add a record of the file or of a chunk, if it is of a kind that is kept."""
+    """Add a record of the file or of a chunk, if its type is used."""
     if isinstance(record, Metadata):
         result.metadata[record.name] = record.metadata
     elif isinstance(record, Attachment):
@@ -158,20 +158,20 @@ def _data_of(chunk: Chunk) -> bytes:
 
 
 def _take_chunk(result: Scan, chunk: Chunk) -> None:
-    """Add one chunk whole, or raise one of _DAMAGE and add nothing."""
+    """Add a complete chunk, or raise one of _DAMAGE and add nothing."""
     data = _data_of(chunk)
     messages: list[Entry] = []
     channels, head = result.channels, _MESSAGE.size
     for opcode, start, end in _records(data):
         if opcode == Opcode.MESSAGE:
             if end - start < head:
-                raise ValueError("a message shorter than its head")
+                raise ValueError("a message shorter than its header")
             channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
             if channel_id not in channels:
-                raise ValueError(f"a message of channel {channel_id}, which nothing declares")
+                raise ValueError(f"a message of channel {channel_id}, which is not declared")
             messages.append(Entry(channel_id, sequence, log_time, publish_time, data[start + head : end]))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            # StreamReader reads these two from bytes framed like a file without its magic.
+            # StreamReader reads these two from bytes framed like a file without the magic bytes.
             framed = data[start - _RECORD.size : end]
             _take_record(result, next(iter(StreamReader(BytesIO(framed), skip_magic=True).records)))
     result.messages.extend(messages)
@@ -179,7 +179,7 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, int]]:
-    """Opcode of every record inside a chunk, and where its body begins and ends."""
+    """Yield the opcode of every record inside a chunk, and the start and end of its body."""
     size, offset = len(data), 0
     while offset < size:
         opcode, length = _RECORD.unpack_from(data, offset)

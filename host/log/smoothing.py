@@ -1,7 +1,7 @@
-"""Smoothed trajectories from noisy samples at irregular times: position and velocity with their sigma.
+"""Smoothed position, velocity and acceleration from noisy positions at irregular times, with covariance.
 
-A Kalman filter forward and a Rauch-Tung-Striebel pass back over (p, v, a), the acceleration a random walk.
-Each axis has the same sigma, so one covariance serves all axes.
+A Kalman filter and a Rauch-Tung-Striebel smoother over (p, v, a), where the acceleration is a random walk.
+All axes have the same noise, so they share one covariance.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ _FIRST = np.array([[1.0], [0.0], [0.0]])
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothed:
-    """p, v, a (n, axes) at the times asked for; their covariance (n, 3, 3), the same for each axis."""
+    """p, v, a (n, axes) at the requested times, and their covariance (n, 3, 3), the same for each axis."""
 
     p: np.ndarray
     v: np.ndarray
@@ -25,21 +25,21 @@ class Smoothed:
 
     @property
     def sigma_p(self) -> np.ndarray:
-        """(n,) standard deviation of p."""
+        """Standard deviation of p (n,)."""
         return np.sqrt(np.maximum(self.covariance[:, 0, 0], 0.0))
 
     @property
     def sigma_v(self) -> np.ndarray:
-        """(n,) standard deviation of v."""
+        """Standard deviation of v (n,)."""
         return np.sqrt(np.maximum(self.covariance[:, 1, 1], 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """Samples (m, axes) of sigma at times (m,) `t_s`, to be smoothed at times (n,) `at_s`.
+    """Samples (m, axes) with noise `sigma` at times `t_s` (m,), to be smoothed at times `at_s` (n,).
 
-    `jerk_density`: power of the white jerk, unit^2/s^5: larger follows faster changes and smooths less. Times
-    must not run back. Raises ValueError for fewer than three samples.
+    `jerk_density` is the power density of the white jerk, unit^2/s^5. A larger one follows faster changes and
+    smooths less. Times must not decrease. Raises ValueError for fewer than three samples.
     """
 
     t_s: np.ndarray
@@ -54,23 +54,23 @@ class Series:
 
 
 def smooth(series: Sequence[Series]) -> list[Smoothed]:
-    """Position and velocity of every series; all have as many axes.
+    """Return every series smoothed. All must have the same number of axes.
 
-    All take their steps together: many cost little more than one.
+    They advance together, so many take little longer than one.
     """
     merged = [np.argsort(np.concatenate([s.t_s, s.at_s]), kind="stable") for s in series]
     n, count, axes = max(map(len, merged)), len(series), series[0].samples.shape[1]
     values, measured = np.zeros((n, count, axes)), np.zeros((n, count))
     steps, noise = np.zeros((n, count, 3, 3)), np.zeros((n, count, 3, 3))
     x, P = np.zeros((count, 3, axes)), np.zeros((count, 3, 3))
-    # A shorter series stands still behind its end.
+    # A shorter series keeps its state after its end.
     steps[:] = np.eye(3)
     for b, (s, order) in enumerate(zip(series, merged, strict=True)):
-        own = len(order)
-        values[:own, b] = np.concatenate([s.samples, np.zeros((len(s.at_s), axes))])[order]
-        measured[:own, b] = order < len(s.t_s)
+        length = len(order)
+        values[:length, b] = np.concatenate([s.samples, np.zeros((len(s.at_s), axes))])[order]
+        measured[:length, b] = order < len(s.t_s)
         times = np.concatenate([s.t_s, s.at_s])[order]
-        steps[:own, b], noise[:own, b] = _transitions(np.diff(times, prepend=times[0]), s.jerk_density)
+        steps[:length, b], noise[:length, b] = _transitions(np.diff(times, prepend=times[0]), s.jerk_density)
         x[b, 0] = s.samples[0]
         scale = max(float(np.ptp(s.samples)), 10.0 * s.sigma)
         P[b] = np.diag([s.sigma**2 * 10.0, (10.0 * scale) ** 2, (100.0 * scale) ** 2])
@@ -95,17 +95,17 @@ def smooth(series: Sequence[Series]) -> list[Smoothed]:
         Ps[k] += backs[k] @ (Ps[k + 1] - before_P[k + 1]) @ forth[k]
     out = []
     for b, (s, order) in enumerate(zip(series, merged, strict=True)):
-        where = np.argsort(order)[len(s.t_s) :]  # back into the order of at_s
-        found = xs[where, b]
-        out.append(Smoothed(p=found[:, 0], v=found[:, 1], a=found[:, 2], covariance=Ps[where, b]))
+        rows = np.argsort(order)[len(s.t_s) :]  # back into the order of at_s
+        pva = xs[rows, b]
+        out.append(Smoothed(p=pva[:, 0], v=pva[:, 1], a=pva[:, 2], covariance=Ps[rows, b]))
     return out
 
 
 def _transitions(dt: np.ndarray, density: float) -> tuple[np.ndarray, np.ndarray]:
-    """Transitions and process noise (n, 3, 3) of (p, v, a) over steps dt (n,)."""
-    one, nought = np.ones_like(dt), np.zeros_like(dt)
+    """Return transition matrices and process noise (n, 3, 3) of (p, v, a) over steps dt (n,)."""
+    one, zero = np.ones_like(dt), np.zeros_like(dt)
     d2, d3 = dt * dt, dt * dt * dt
-    F = [[one, dt, 0.5 * d2], [nought, one, dt], [nought, nought, one]]
+    F = [[one, dt, 0.5 * d2], [zero, one, dt], [zero, zero, one]]
     Q = [
         [d3 * d2 / 20.0, d2 * d2 / 8.0, d3 / 6.0],
         [d2 * d2 / 8.0, d3 / 3.0, d2 / 2.0],

@@ -1,4 +1,4 @@
-"""The topics of a log, one row each: message type, whether it is sampled or averaged, rate and meaning."""
+"""The topics of a log: message type, whether it is sampled or averaged, rate and meaning."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ RECORDED_BATTERY = "/recorded/battery"
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
-    """One channel: `sampling` is "sampled", "averaged" (then `averaged` lists the fields) or "event"."""
+    """One channel. `sampling` is "sampled", "averaged" (`averaged` lists the fields) or "event"."""
 
     name: str
     message: type[Message]
@@ -36,9 +36,9 @@ class Topic:
     content: str
 
     def metadata(self) -> dict[str, str]:
-        """Return what the channel says about itself in the file."""
-        told = {"sampling": self.sampling, "rate": self.rate, "content": self.content, "time_unit": "us"}
-        return told | {"averaged": " ".join(self.averaged)} if self.averaged else told
+        """Return the metadata of the channel in the file."""
+        entries = {"sampling": self.sampling, "rate": self.rate, "content": self.content, "time_unit": "us"}
+        return entries | {"averaged": " ".join(self.averaged)} if self.averaged else entries
 
 
 FLIGHT_TOPICS: tuple[Topic, ...] = (
@@ -101,7 +101,7 @@ FLIGHT_TOPICS: tuple[Topic, ...] = (
         content="the reference for display: x east, y north, z up; heading only",
     ),
 )
-"""What a flight writes."""
+"""Topics of a flight's log."""
 
 IMPORTED_TOPICS: tuple[Topic, ...] = (
     FLIGHT_TOPICS[0],
@@ -129,4 +129,4 @@ IMPORTED_TOPICS: tuple[Topic, ...] = (
     FLIGHT_TOPICS[6],
     FLIGHT_TOPICS[7],
 )
-"""What an import writes."""
+"""Topics of an imported log."""

@@ -1,4 +1,4 @@
-"""How closely a flight followed its reference, and the reference itself at any times."""
+"""Tracking error of a flight, and evaluation of a reference at given times."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ FLAT_SIZE = 14
 
 @dataclass(frozen=True, kw_only=True)
 class TrackingError:
-    """Distance between camera pose and reference over the tracking phase, m; `poses` is how many entered."""
+    """Distance between camera pose and reference over the tracking phase, m, from this number of poses."""
 
     mean_m: float
     rmse_m: float
@@ -25,7 +25,7 @@ class TrackingError:
 
 
 def reference_at(reference: Reference, t_us: Times) -> Floats:
-    """(n, 14) flat outputs `t_us` after the reference's start; before and after it the end nodes are held."""
+    """Return flat outputs (n, 14) at `t_us` after the start; outside it, those of the end nodes."""
     nodes = reference.nodes_ned()
     starts = np.array([node.t_us for node in nodes])
     states = np.array([node.state for node in nodes]).T
@@ -37,7 +37,7 @@ def reference_at(reference: Reference, t_us: Times) -> Floats:
 
 
 def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
-    """Yaw and yaw rate; held before the first and after the last yaw node."""
+    """Return yaw and yaw rate. Before the first and after the last yaw node, yaw is constant."""
     rows = reference.yaw_nodes()
     starts = np.array([row.t_us for row in rows])
     yaw, rate = np.array([row.yaw for row in rows]), np.array([row.yaw_rate for row in rows])
@@ -52,17 +52,15 @@ def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
 
 
 def tracking_error(flight: Flight) -> TrackingError | None:
-    """Return the error of the tracking phase, or of what was flown of it; None without reference, phase or
-    poses.
-    """
+    """Return the error over the flown part of the tracking phase; None without reference, phase or poses."""
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
     start_us, end_us = flight.tracking
     keep = (flight.mocap.t_us >= start_us) & (flight.mocap.t_us <= end_us)
     if not keep.any():
         return None
-    wanted = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
-    square = ((flight.mocap.p[keep] - wanted) ** 2).sum(axis=1)
+    p_ref = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
+    square = ((flight.mocap.p[keep] - p_ref) ** 2).sum(axis=1)
     return TrackingError(
         mean_m=float(np.sqrt(square).mean()),
         rmse_m=float(np.sqrt(square.mean())),

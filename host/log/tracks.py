@@ -1,7 +1,7 @@
-"""What a flight is in memory: one array type a topic, and the flight that holds them.
+"""A flight in memory: one type of arrays for each topic, and the flight that holds them.
 
-Times are integer microseconds on the host's clock from arm (an import: from its first sample). World NED,
-body FRD.
+Times are integer microseconds on the host's clock from arming (an import: from its first sample). The world
+is NED, the body FRD.
 """
 
 from __future__ import annotations
@@ -32,20 +32,20 @@ FAILSAFE_WORDS = {
     "loop-overrun": "ticks too late too often",
     "geofence": "outside the flight volume",
 }
-"""The failsafes by name, in words for people."""
+"""Descriptions of the failsafes, by name."""
 
 
 def failsafe_name(number: int) -> str | None:
-    """Return the name of a failsafe by its number in FC_STATUS and in the log; None for 0, which is none."""
+    """Return the name of a failsafe by its number in FC_STATUS and in the log; None for 0 (no failsafe)."""
     names = {value: name.lower().replace("_", "-") for name, value in flight_pb2.Status.Failsafe.items()}
     return names.get(number, str(number)) if number else None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Track:
-    """Arrays of one topic, all with the same first dimension; times never run back.
+    """Arrays of one topic, all with the same first dimension. Times never decrease.
 
-    left_out: rows of the log that held something that is no finite number.
+    `left_out` counts the rows of the log that were left out because a value was not finite.
     """
 
     left_out: int = 0
@@ -61,13 +61,13 @@ class _Track:
         if len(lengths) != 1:
             raise ValueError(f"{type(self).__name__}: arrays of lengths {sorted(lengths)}")
         if (np.diff(self._times) < 0).any():
-            raise ValueError(f"{type(self).__name__}: times that run back")
+            raise ValueError(f"{type(self).__name__}: times decrease")
 
     def __len__(self) -> int:
         return len(self._times)
 
     def rows(self, keep: NDArray[Any]) -> Self:
-        """Return the same with these rows alone: indices, or a mask (n,)."""
+        """Return the track with these rows only, given as indices or as a mask (n,)."""
         arrays = {name: v[keep] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays)
 
@@ -102,11 +102,12 @@ class Estimate(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Control(_Track):
-    """Commands and memory at t1_us; means over (t0_us, t1_us] of motors, gyro, specific force (FRD).
+    """Commands and integrals at t1_us; means over (t0_us, t1_us] of motors, gyro and specific force (FRD).
 
-    A motor command acts from its tick to the next one; gyro and specific force are samples at the ticks
-    behind t0_us up to t1_us, so their means are of `sensed_us`. The rate integral is what the law took of the
-    errors up to t1_us, each over the tick that follows. Rows whose interval is invalid are left out.
+    A motor command acts from its tick to the next one. Gyro and specific force are sampled at the ticks after
+    t0_us up to t1_us, so their means belong to the interval `sensed_us`. The rate integral is the control
+    law's sum of errors up to t1_us, each over the tick that follows it. Rows with an invalid interval are
+    left out.
     """
 
     t0_us: Times
@@ -121,7 +122,7 @@ class Control(_Track):
 
     @property
     def sensed_us(self) -> Floats:
-        """Begin and end (n, 2) of the interval that each mean of gyro and specific force stands for, us."""
+        """Start and end (n, 2) of the interval that each mean of gyro and specific force covers, us."""
         return np.column_stack([self.t0_us, self.t1_us]).astype(np.float64) + 0.5 * TICK_US
 
 
@@ -157,7 +158,7 @@ class Status(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkHealth(_Track):
-    """Counters of the link since connecting, round trip, clock offsets (vehicle or camera minus host)."""
+    """Counters of the link since connection, round trip, clock offsets (vehicle or camera minus host)."""
 
     t_us: Times
     frames_sent: Times
@@ -176,16 +177,16 @@ class LinkHealth(_Track):
     clock_offset_sd_us: Floats
     camera_offset_us: Floats
     radios: Mapping[str, int] | None = None
-    """What both radios counted by the end, by the names in flight.proto."""
+    """Final counters of both radios, by the names in flight.proto."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedInputs(_Track):
-    """What drove a foreign vehicle; `level` says which arrays are there.
+    """Inputs of a foreign vehicle; `level` says which arrays are present.
 
     "motor": motor (n, 4) in 0..1. "thrust-torque": thrust_n (n,), torque_n_m (n, 3) FRD. "reference": p_ref
-    and, where the log has them, v_ref, a_ref (n, 3) NED and yaw_ref (n,). Lower levels may be there beside
-    a higher one.
+    and, if the log has them, v_ref, a_ref (n, 3) NED and yaw_ref (n,). Arrays of lower levels may be present
+    too.
     """
 
     t_us: Times
@@ -201,7 +202,7 @@ class RecordedInputs(_Track):
     def __post_init__(self) -> None:
         super().__post_init__()
         if self.level not in LEVELS:
-            raise ValueError(f"level {self.level!r} is none of {', '.join(LEVELS)}")
+            raise ValueError(f"level {self.level!r} is not one of {', '.join(LEVELS)}")
         needed = {"motor": (self.motor,), "thrust-torque": (self.thrust_n, self.torque_n_m)}
         if any(values is None for values in needed.get(self.level, (self.p_ref,))):
             raise ValueError(f"level {self.level!r} without its values")
@@ -209,7 +210,7 @@ class RecordedInputs(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedImu(_Track):
-    """A foreign vehicle's gyro and specific force (n, 3), FRD; None where it recorded only the other."""
+    """A foreign vehicle's gyro and specific force (n, 3), FRD; None for one that was not recorded."""
 
     t_us: Times
     gyro: Floats | None
@@ -226,7 +227,7 @@ class Battery(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """One flight or import; absent is None. `tracking`: start and end of what learning and errors use."""
+    """One flight or import. Absent data is None. `tracking` is the interval that learning and errors use."""
 
     id: str
     path: Path
@@ -248,7 +249,7 @@ class Flight:
     battery: Battery | None
     tracking: tuple[int, int] | None
     tracking_whole: bool
-    """The reference was flown to its end (an import: as far as the log goes)."""
+    """Whether the reference was flown to its end. Always True for an import."""
     failsafe: str | None
-    """What ended the flight early, by name: a key of FAILSAFE_WORDS."""
+    """Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS."""
     duration_s: float

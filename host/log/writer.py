@@ -1,11 +1,11 @@
-"""Writes flight logs: MCAP, protobuf, 64 KiB zstd chunks, provenance first.
+"""Writer for flight logs: MCAP with protobuf messages, 64 KiB zstd chunks, provenance first.
 
 Times are integer microseconds on the host's clock from arm: a log starts when the vehicle acknowledges
-arming. What arrived or was measured before that instant is not logged (the format has no negative times).
+arming. Messages that arrived or were measured before that are not logged, because the format has no negative
+times.
 
-The file grows under `NAME.part` and gets its name when it is closed. Every chunk reaches the system as
-soon as it is full, so that a killed writer loses the last chunk at most; `trimtab.host.log.recover` reads
-the rest.
+The file is written as `NAME.part` and renamed when it is closed. Every chunk is written as soon as it is
+full, so a killed writer loses at most the last chunk. `trimtab.host.log.recover` reads the others.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ _HALF = sqrt(0.5)
 
 
 def partial_path(path: Path) -> Path:
-    """Where the log that will be `path` grows."""
+    """Return the path of the unfinished log that will become `path`."""
     return path.with_name(path.name + ".part")
 
 
 class _Unbuffered:
-    """A file whose every write has reached the system when it returns.
+    """An unbuffered file: a write has reached the operating system when it returns.
 
-    Once a write has failed (LogError) every later one fails alike: behind half a record nothing can be read.
+    After a failed write (LogError) every later write fails too, because nothing after half a record can be
+    read.
     """
 
     def __init__(self, raw: RawIOBase, path: Path) -> None:
@@ -65,14 +66,14 @@ class _Unbuffered:
                 view = view[self._raw.write(view) or 0 :]
         except OSError as error:
             self.failed = LogError(
-                f"{self._path}: cannot be written any further ({error.strerror}); make room, "
-                f"`trimtab log recover {self._path}` reads what was written before"
+                f"{self._path}: cannot be written any further ({error.strerror}); free disk space, "
+                f"then read the part written so far with `trimtab log recover {self._path}`"
             )
             raise self.failed from error
 
 
 class Stamps(NamedTuple):
-    """Times of a message, us: when it is logged, published and made (its source's clock)."""
+    """Times of a message, us: of logging, of publication, and of creation on its source's clock."""
 
     log_us: int
     publish_us: int
@@ -80,13 +81,13 @@ class Stamps(NamedTuple):
 
 
 class LogWriter:
-    """Writes one log to `output`, a path or a binary stream.
+    """Writer of one log to `output`, a path or a binary stream.
 
-    Call `close` at the end; as a context manager it leaves no file where the block raises. Raises LogError
-    where the file cannot be written, from any method; what was written before stays under `NAME.part` then.
+    Call `close` at the end. As a context manager, it removes the file if the block raises. Any method raises
+    LogError if the file cannot be written; the part written so far then stays under `NAME.part`.
 
-    The methods named after topics take the arrival and the measurement, both in us from arm, then the topic's
-    values; they return False for what belongs before arm. Message objects are reused: none of it is kept.
+    The methods named after topics take the stamps and then the topic's values. They return False if a time
+    lies before arming. Message objects are reused.
     """
 
     def __init__(
@@ -104,7 +105,7 @@ class LogWriter:
             try:
                 self._file = cast(RawIOBase, open(partial_path(output), "wb", buffering=0))  # noqa: SIM115
             except OSError as error:
-                raise LogError(f"{output}: cannot be written ({error.strerror}), give another -o") from error
+                raise LogError(f"{output}: cannot be written ({error.strerror}); give another -o") from error
             self.path = output
             sink = self._sink = _Unbuffered(self._file, output)
         else:
@@ -140,7 +141,7 @@ class LogWriter:
         return self._mcap.add_channel(topic.name, schema, topic.metadata())
 
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
-        """Write a message of any topic; False, and nothing written, where a time lies before arm."""
+        """Write a message of any topic. If a time lies before arming, write nothing and return False."""
         if log_us < 0 or publish_us < 0:
             return False
         self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
@@ -153,7 +154,7 @@ class LogWriter:
         p_ned: Sequence[float],
         q_ned_frd: Sequence[float],
     ) -> bool:
-        """Write `/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 where it was not."""
+        """Write `/mocap/pose`; `vehicle_us` is the stamp it was forwarded with, 0 if it was not forwarded."""
         message = self._messages.pose
         message.source_us = stamps.source_us
         message.vehicle_us = vehicle_us
@@ -231,7 +232,7 @@ class LogWriter:
         return self.write(topics.FC_CONTROL, message, stamps.log_us, stamps.publish_us)
 
     def text(self, log_us: int, publish_us: int, severity: int, text: str, name: str) -> bool:
-        """Write `/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` says who speaks."""
+        """Write `/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` is the sender."""
         message = self._messages.text
         message.level = _foxglove_level(severity)
         message.message = text
@@ -242,7 +243,7 @@ class LogWriter:
     def display(
         self, topic: str, log_us: int, publish_us: int, p_ned: Sequence[float], q_ned_frd: Sequence[float]
     ) -> bool:
-        """`/display/...`: the pose as viewers draw it: east, north, up; body forward, left, up."""
+        """Write `/display/...`: the pose in the frame of viewers: east, north, up; body forward, left, up."""
         message = self._messages.display
         position, orientation = message.pose.position, message.pose.orientation
         position.x, position.y, position.z = p_ned[1], p_ned[0], -p_ned[2]
@@ -253,7 +254,7 @@ class LogWriter:
         return self.write(topic, message, log_us, publish_us)
 
     def close(self) -> None:
-        """Write index and footer and gives the file its name; again, or after a failed write: nothing."""
+        """Write index and footer and rename the file. Do nothing after a failed write or a second time."""
         if self._closed:
             return
         self._closed = True
@@ -267,7 +268,7 @@ class LogWriter:
         partial_path(self.path).replace(self.path)
 
     def _discard(self) -> None:
-        """Leaves no file; a stream is left as it is."""
+        """Remove the file. A stream stays as it is."""
         self._closed = True
         if self._file is not None and self.path is not None:
             self._file.close()
@@ -286,7 +287,7 @@ class LogWriter:
 
 
 class _Messages:
-    """The message objects a writer fills again and again."""
+    """The reused message objects of a writer."""
 
     def __init__(self) -> None:
         self.pose = flight_pb2.MocapPose()
@@ -299,12 +300,12 @@ class _Messages:
 
 def _stamp(timestamp: Any, time_us: int) -> None:
     """Set a protobuf timestamp to a time from arm."""
-    timestamp.seconds, rest_us = divmod(time_us, 1_000_000)
-    timestamp.nanos = rest_us * 1000
+    timestamp.seconds, fraction_us = divmod(time_us, 1_000_000)
+    timestamp.nanos = fraction_us * 1000
 
 
 def _foxglove_level(severity: int) -> Any:
-    """Foxglove's level of a MAVLink severity."""
+    """Return the Foxglove level for a MAVLink severity."""
     if severity <= 2:
         return Log.FATAL
     if severity == 3:

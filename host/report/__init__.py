@@ -1,6 +1,6 @@
-"""Reports: one HTML file, offline, with its figures and the numbers behind them inside."""
+"""Reports: each is one HTML file that opens offline and contains its figures and their data."""
 
 import logging
 
-# Where its cache cannot be kept, as without a home, matplotlib makes do with a temporary one and says so.
+# Without a writable cache folder, matplotlib uses a temporary one and warns about it.
 logging.getLogger("matplotlib").setLevel(logging.ERROR)

@@ -1,4 +1,4 @@
-"""The page of the study that calibrates the measured rules of tracing: its table."""
+"""Report of the study that calibrates the thresholds of tracing."""
 
 from __future__ import annotations
 
@@ -11,12 +11,12 @@ from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """Return no pictures: three numbers need none."""
+    """Return no pictures; the report consists of tables."""
     return {}
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """Return the HTML of the study's report: one file that opens offline."""
+    """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
     return render(
         "tables.html.j2",

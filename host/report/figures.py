@@ -1,4 +1,4 @@
-"""Figures of the reports as SVG text: the same data gives the same bytes."""
+"""Figures of the reports as SVG text. The same data gives the same bytes."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ STYLE: Any = {
     "figure.constrained_layout.use": True,
 }
 _POINTS = 400
-"""Most points a line is drawn with."""
+"""Greatest number of points in a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -48,11 +48,11 @@ class Figure:
     width: int
     height: int
     png: bytes = b""
-    """The same picture as PNG, where it was asked for."""
+    """The same picture as PNG, if requested."""
 
     @property
     def source(self) -> str:
-        """The picture as a data address for an img element."""
+        """The picture as a data URL for an img element."""
         return "data:image/svg+xml;base64," + base64.b64encode(self.svg.encode()).decode()
 
 
@@ -75,8 +75,9 @@ def _thin(count: int) -> np.ndarray:
 
 
 def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *, unit: str = "mm") -> Figure:
-    """Paths from above, coloured by error on one scale: panels of (title, position (n, 3) NED, error (n,)
-    m).
+    """Draw paths from above, coloured by error on one scale.
+
+    Panels are (title, position (n, 3) NED in m, error (n,) in m).
     """
     with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.8), squeeze=False)
@@ -99,9 +100,7 @@ def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *,
 
 
 def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float | None) -> Figure:
-    """Prediction error over time on each held-out flight, before and after, one scale, with the noise
-    floor.
-    """
+    """Draw the prediction error over time on each held-out flight, before and after, and the noise floor."""
     with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(
             len(before), 1, figsize=(8.4, 1.0 + 1.7 * len(before)), squeeze=False, sharey=True
@@ -120,15 +119,13 @@ def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float 
         axes[0, 0].legend(ncols=3, frameon=False)
     return finish(
         canvas,
-        "Position error of the prediction on flights that were not used.",
+        "Position error of the prediction on held-out flights.",
         f"Prediction error over time, before and after, on {len(before)} held-out flights.",
     )
 
 
 def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
-    """Return what each candidate is worth: log evidence lost by leaving it out, or gained by adding it, in
-    nats.
-    """
+    """Draw the log evidence, nats, that is lost without each selected effect or gained with another one."""
     names = sorted(evidence, key=lambda name: evidence[name])
     with matplotlib.rc_context(STYLE):
         canvas, ax = plt.subplots(figsize=(8.4, 0.8 + 0.28 * len(names)))
@@ -144,19 +141,19 @@ def ranking(evidence: Mapping[str, float], kept: Sequence[str]) -> Figure:
     best = ", ".join(f"{n} {evidence[n]:.0f}" for n in reversed(names[-3:]))
     return finish(
         canvas,
-        "Ranking of the candidates: what the evidence loses without an effect that was named, "
-        "or would gain with one that was not.",
+        "Ranking of the candidates: log evidence that is lost without a named effect, "
+        "or would be gained with another one.",
         f"Candidates by log evidence in nats; the first three: {best}.",
     )
 
 
 def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, columns: str) -> Figure:
-    """Return a table of counts by row and column name, each cell shaded by its share of the row; also as PNG.
+    """Draw a table of counts by row and column name, each cell shaded by its share of the row; also as PNG.
 
-    The columns come in the order of the rows where they share names, the others behind.
+    Columns that share names with rows come first, in the order of the rows.
     """
-    found = {column for row in table.values() for column in row}
-    names = [name for name in table if name in found] + sorted(found - set(table))
+    labels = {column for row in table.values() for column in row}
+    names = [name for name in table if name in labels] + sorted(labels - set(table))
     values = np.array([[row.get(name, 0) for name in names] for row in table.values()])
     with matplotlib.rc_context({**STYLE, "axes.grid": False}):
         canvas, ax = plt.subplots(figsize=(3.2 + 0.42 * len(names), 2.4 + 0.3 * len(table)))
@@ -176,9 +173,9 @@ def counts(table: Mapping[str, Mapping[str, int]], caption: str, *, rows: str, c
 def deviations(
     families: Mapping[str, Sequence[float]], coverage: Mapping[str, tuple[float, float, float]], caption: str
 ) -> Figure:
-    """By family: errors in standard deviations as points, and the share within two with its interval.
+    """Draw errors in standard deviations by family, and the share within two with its interval; also as PNG.
 
-    families: errors (n,). coverage: share, low and high. Also as PNG.
+    `families` holds errors (n,); `coverage` holds the share and its lower and upper bound.
     """
     names = list(families)
     with matplotlib.rc_context(STYLE):
@@ -196,17 +193,20 @@ def deviations(
         left.set_yticks(range(len(names)), [f"{name} ({len(families[name])})" for name in names])
         left.set_ylim(-0.6, len(names) - 0.4)
         right.axvspan(90.0, 98.0, color=FLOOR, alpha=0.15, linewidth=0)
-        right.set(xlim=(0.0, 101.0), xlabel="within two, % (95 % interval; aim shaded)")
-    told = ", ".join(f"{name} {100 * share:.0f} %" for name, (share, _, _) in coverage.items())
-    return finish(canvas, caption, f"Errors in standard deviations by family; within two: {told}.", png=True)
+        right.set(xlim=(0.0, 101.0), xlabel="within two, % (95 % interval; target shaded)")
+    shares = ", ".join(f"{name} {100 * share:.0f} %" for name, (share, _, _) in coverage.items())
+    return finish(
+        canvas, caption, f"Errors in standard deviations by family; within two: {shares}.", png=True
+    )
 
 
-def dependence(told: Description) -> Figure:
-    """Held-out skill of every group for force and torque, and beside it what the best group shows.
+def dependence(description: Description) -> Figure:
+    """Draw the held-out skill of every group for force and torque, and the dependence on the best group.
 
-    A force that depends on position as arrows from above and from the side, else the leading slopes.
+    A force that depends on position is drawn as arrows from above and from the side, any other dependence as
+    its leading slopes.
     """
-    channels = [one for one in (told.force, told.torque) if one is not None]
+    channels = [one for one in (description.force, description.torque) if one is not None]
     with matplotlib.rc_context(STYLE):
         canvas, axes = plt.subplots(
             len(channels), 3, figsize=(9.6, 3.2 * len(channels)), squeeze=False, width_ratios=(1.1, 1.0, 1.0)
@@ -214,15 +214,15 @@ def dependence(told: Description) -> Figure:
         for row, one in zip(axes, channels, strict=True):
             _skills(row[0], one)
             if one.channel == "force" and one.group == "position":
-                _field(row[1], told, "east", "north", (1, 0))
-                _field(row[2], told, "north", "height", (0, 2))
+                _field(row[1], description, "east", "north", (1, 0))
+                _field(row[2], description, "north", "height", (0, 2))
             else:
                 _curves(row[1:], one)
     return finish(
         canvas,
-        "What the disturbance outside the library depends on: held-out skill of each group of quantities "
-        "(bars hold it with 95 %), and the disturbance as the best group shows it.",
-        " ".join(words.description(told)),
+        "Dependence of the disturbance outside the library: held-out skill of each group of quantities "
+        "(bars: 95 % interval), and the disturbance over the best group.",
+        " ".join(words.description(description)),
     )
 
 
@@ -238,22 +238,29 @@ def _skills(ax: Any, one: Dependence) -> None:
     ax.set(xlim=(-0.27, 1.02), xlabel="held-out skill", title=one.channel)
 
 
-def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, int]) -> None:
-    """Arrows of the mean force in a plane; height is up."""
+def _field(ax: Any, description: Description, across: str, up: str, take: tuple[int, int]) -> None:
+    """Draw arrows of the mean force in a plane; height points up."""
     sign = np.array([1.0, -1.0 if up == "height" else 1.0])
-    place, push = told.cells[:, take] * sign, told.pushes[:, take] * sign
-    longest = max(float(np.linalg.norm(told.pushes, axis=1).max()), 1e-9)
-    span = max(float(np.ptp(told.cells, axis=0).max()), 0.1)
+    place, force = description.cells[:, take] * sign, description.pushes[:, take] * sign
+    longest = max(float(np.linalg.norm(description.pushes, axis=1).max()), 1e-9)
+    span = max(float(np.ptp(description.cells, axis=0).max()), 0.1)
     arrows = ax.quiver(
-        *place.T, *push.T, color=AFTER, angles="xy", scale_units="xy", scale=4.0 * longest / span, width=0.008
+        *place.T,
+        *force.T,
+        color=AFTER,
+        angles="xy",
+        scale_units="xy",
+        scale=4.0 * longest / span,
+        width=0.008,
     )
     size = float(f"{0.5 * longest:.1g}")
     ax.quiverkey(arrows, 0.66, 1.04, size, f"{size:g} m/s$^2$", labelpos="E", coordinates="axes")
-    ends = np.concatenate([place, place + push * span / (4.0 * longest)])
+    ends = np.concatenate([place, place + force * span / (4.0 * longest)])
     ax.update_datalim(ends)
-    if told.form is not None and told.form.name in ("point", "place"):
+    form = description.form
+    if form is not None and form.name in ("point", "place"):
         keys = ("north_m", "east_m", "down_m")
-        centre = np.array([told.form.parameters[key] for key in keys])[list(take)] * sign
+        centre = np.array([form.parameters[key] for key in keys])[list(take)] * sign
         ax.plot(*centre, "x", color=BEFORE, markersize=9, markeredgewidth=2)
     ax.autoscale_view()
     ax.set_aspect("equal", adjustable="datalim")
@@ -261,7 +268,7 @@ def _field(ax: Any, told: Description, across: str, up: str, take: tuple[int, in
 
 
 def _curves(row: Any, one: Dependence) -> None:
-    """Draw the two leading slopes, or say that there is none."""
+    """Draw the two leading slopes, or a text if there is none."""
     unit = CHANNEL_UNITS[one.channel].replace("^2", "$^2$")
     for k, ax in enumerate(row):
         if k >= len(one.slopes):
@@ -269,7 +276,7 @@ def _curves(row: Any, one: Dependence) -> None:
             if k == 0:
                 x, y, z = one.mean
                 steady = f"constant: ({x:.2g}, {y:.2g}, {z:.2g}) {unit}"
-                ax.text(0.0, 0.5, "none of them explains it" if one.group is None else steady)
+                ax.text(0.0, 0.5, "no group explains it" if one.group is None else steady)
             continue
         slope = one.slopes[k]
         ax.plot(*slope.curve.T, "o-", color=AFTER, markersize=4.0, linewidth=1.0)

@@ -1,4 +1,4 @@
-"""Pages from the templates of this folder: escaped, one file, offline."""
+"""Rendering of the templates in this folder to escaped, self-contained pages."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoesca
 
 
 def render(template: str, **values: Any) -> str:
-    """Return the HTML that a template makes of the values. Raises jinja2's error where one is missing."""
+    """Return the HTML of a template with these values. Raises jinja2's error if one is missing."""
     environment = Environment(
         loader=FunctionLoader(
             lambda name: files("trimtab.host.report").joinpath(name).read_text(encoding="utf-8")
@@ -25,5 +25,5 @@ def render(template: str, **values: Any) -> str:
 
 
 def script_data(answer: Mapping[str, Any]) -> str:
-    """JSON that may stand in a script element."""
+    """Return JSON that is safe inside a script element."""
     return json.dumps(answer, allow_nan=False).replace("</", "<\\/")

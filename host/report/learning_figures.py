@@ -1,4 +1,4 @@
-"""Pictures of the study of learning: curves, errors over noise, flights of the drawn worlds."""
+"""Figures of the study of learning: learning curves, errors over noise, errors of flights in drawn worlds."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ _COLOURS = (AFTER, BEFORE, "#5a9bb0", "#d59a87")
 
 
 def learning_curves(panels: Mapping[str, Sequence[Mapping[str, Any]]], caption: str) -> Figure:
-    """Loss over epochs, a panel a setting with all its trials; also as PNG.
+    """Draw the loss over epochs, one panel for each setting with all its trials; also as PNG.
 
     Trials hold train_loss (epochs,) and validation_loss (epochs + 1,).
     """
@@ -39,7 +39,7 @@ def learning_curves(panels: Mapping[str, Sequence[Mapping[str, Any]]], caption: 
 
 
 def over_noise(rows: Sequence[Mapping[str, Any]], caption: str) -> Figure:
-    """Test error over the scale of noise, a panel a regressor, a line a method; also as PNG.
+    """Draw the test error over the noise, one panel for each regressor, one line a method; also as PNG.
 
     Rows hold regressor, scale, method and test (m/s^2).
     """
@@ -63,7 +63,7 @@ def over_noise(rows: Sequence[Mapping[str, Any]], caption: str) -> Figure:
                     linewidth=1.3,
                     label=method,
                 )
-            ax.set(yscale="log", xlabel="noise, times the usual", title=regressor)
+            ax.set(yscale="log", xlabel="noise, times nominal", title=regressor)
         axes[0, 0].set_ylabel("acceleration RMSE, m/s$^2$")
         handles, labels = axes[0, 0].get_legend_handles_labels()
         canvas.legend(handles, labels, loc="outside lower center", ncols=2, frameon=False)
@@ -76,9 +76,10 @@ def over_nominal(
     caption: str,
     over: str = "nominal",
 ) -> Figure:
-    """Values over those of a baseline, a point a world or course, a column a set; also as PNG.
+    """Draw ratios to a baseline, one point for each world or course, one column for each set; also as PNG.
 
-    ratios: set -> method -> values (worlds,); None for what diverged is left out. over: the baseline's name.
+    `ratios` maps set and method to values (worlds,); None, for a divergence, is left out. `over` is the name
+    of the baseline.
     """
     methods = list(next(iter(ratios.values())))
     with rc_context(STYLE):
@@ -95,13 +96,13 @@ def over_nominal(
         ax.axhline(1.0, color=NEUTRAL, linewidth=0.8)
         ax.axhline(0.0, color=FLOOR, linewidth=0.8)
         ax.set_xticks(range(len(ratios)), list(ratios))
-        ax.set(ylabel=f"over {over}")
+        ax.set(ylabel=f"ratio to {over}")
         ax.legend(frameon=False, fontsize=8)
-    told = "; ".join(
+    medians = "; ".join(
         f"{name}: " + ", ".join(f"{method} {_median(values)}" for method, values in each.items())
         for name, each in ratios.items()
     )
-    alt = f"Over {over}, medians {told}."
+    alt = f"Ratio to {over}, medians {medians}."
     return finish(canvas, caption, alt, png=True)
 
 

@@ -1,4 +1,4 @@
-"""The page of the study of the link: its tables."""
+"""Report of the link study."""
 
 from __future__ import annotations
 
@@ -11,14 +11,14 @@ from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """No pictures: the sequence picture is a file of its own."""
+    """Return no pictures; the sequence picture is a separate file."""
     return {}
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """Return the HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
-    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['runs']} uploads a channel"
+    scope = "quick check, not for the record" if answer["quick"] else f"{answer['runs']} uploads per channel"
     return render(
         "tables.html.j2",
         title=f"The link: {scope}, seed {answer['seed']}",

@@ -1,4 +1,4 @@
-"""The page of the study of learning: the paper's numbers beside ours, tables and pictures."""
+"""Report of the study of learning: the paper's numbers beside ours, in tables and figures."""
 
 from __future__ import annotations
 
@@ -22,17 +22,17 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
             panels, "Learning curves of Adam from random first weights, by weights of the loss."
         ),
         "noise": learning_figures.over_noise(
-            outcome["noise"], "Pointwise acceleration error on exact test flights, by what was learned from."
+            outcome["noise"], "Pointwise acceleration error on exact test flights, by method of learning."
         ),
         "worlds": learning_figures.over_nominal(
             outcome["flown"]["ratios"],
             METHODS,
             "Whole flights through firmware and radio: position error of the prediction over that of the "
-            "nominal model, a point a world, medians as bars.",
+            "nominal model. One point for each world; bars are medians.",
         ),
     }
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """Return the HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report, one file that opens offline."""
     return tables_page("learning", outcome, drawn, provenance)

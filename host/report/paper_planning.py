@@ -1,4 +1,4 @@
-"""The page of the study of planning: the paper's numbers beside ours, tables and a picture."""
+"""Report of the study of planning: the paper's numbers beside ours, in tables and a figure."""
 
 from __future__ import annotations
 
@@ -28,8 +28,8 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
         "courses": learning_figures.over_nominal(
             ratios,
             {kind: kind for kind in others},
-            "Held-out courses, planned with a learned model and flown by the DFBC: over the min-snap plan of "
-            "the same course in the same time, a point a course, medians as bars.",
+            "Held-out courses, planned with a learned model and flown by the DFBC: ratio to the min-snap "
+            "plan of the same course in the same time. One point for each course; bars are medians.",
             over="min-snap",
         )
     }
@@ -41,5 +41,5 @@ def _over(kinds: Mapping[str, Mapping[str, Any]], kind: str, key: str) -> float 
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """Return the HTML of the study's report; offline, one file."""
+    """Return the HTML of the study's report, one file that opens offline."""
     return tables_page("planning", outcome, drawn, provenance)

@@ -1,4 +1,4 @@
-"""The page of a plan, from its finished reference; and that of the trade between plans."""
+"""Reports of a plan, from its finished reference, and of a comparison of plans."""
 
 from __future__ import annotations
 
@@ -33,19 +33,19 @@ _LIMITS = {
     "tilt_deg": ("tilt", "deg"),
     "body_rate_rad_s": ("body rate", "rad/s"),
     "jerk_m_s3": ("jerk", "m/s^3"),
-    "thrust_low": ("least rotor thrust", "of greatest"),
-    "thrust_high": ("greatest rotor thrust", "of greatest"),
+    "thrust_low": ("least rotor thrust", "of maximum"),
+    "thrust_high": ("greatest rotor thrust", "of maximum"),
     KEEP_OUT: ("keep-out shapes", "m"),
     GATES: ("edges of gates", "m"),
     YAW_RATE: ("yaw rate of a free heading", "rad/s"),
 }
-"""Name for people and unit by a margin's name."""
+"""Displayed name and unit, by the margin's name."""
 
 
 def page(
     plan: Plan, route: Route, vehicle: Vehicle, model: ResidualModel, provenance: Mapping[str, object]
 ) -> str:
-    """Return the HTML of a plan's report; offline, one file. `model` predicts the residual that is shown."""
+    """Return the HTML of a plan's report, one file. `model` predicts the residual that is shown."""
     table, yaws = from_reference(plan.reference), plan.reference.yaw_nodes()
     along = profile(vehicle, model, table, yaws, with_nodes(table))
     off = sensitivity(vehicle, model, table, yaws)
@@ -75,13 +75,13 @@ def page(
 
 
 def _timeless(plan: Plan) -> dict[str, Any]:
-    """Its figures without processor time: the same plan gives the same page."""
+    """Return the plan's figures without processor time, so that the same plan gives the same page."""
     return {name: value for name, value in figures(plan).items() if name != "solve_s"}
 
 
 def _sentence(plan: Plan) -> str:
     text = (
-        f"{plan.path_length_m:.1f} m in {plan.duration_s:.2f} s, {plan.mean_speed_m_s:.2f} m/s in the mean, "
+        f"{plan.path_length_m:.1f} m in {plan.duration_s:.2f} s, {plan.mean_speed_m_s:.2f} m/s mean speed, "
         "within every limit."
     )
     if plan.residual_rms_m_s2 is not None:
@@ -90,7 +90,7 @@ def _sentence(plan: Plan) -> str:
 
 
 def _facts(plan: Plan, off: Sensitivity | None) -> list[tuple[str, str]]:
-    """Names and values of what holds for the plan as a whole."""
+    """Return names and values of the properties of the whole plan."""
     dynamics = "with the model in the dynamics" if plan.augmented else "with nominal dynamics"
     rows = [("kind", f"{plan.label}, {dynamics}"), ("status", status_words(plan))]
     time_s = f"{plan.duration_s:.3f} s"
@@ -100,10 +100,10 @@ def _facts(plan: Plan, off: Sensitivity | None) -> list[tuple[str, str]]:
         ("time", time_s),
         ("length", f"{plan.path_length_m:.2f} m"),
         ("mean speed", f"{plan.mean_speed_m_s:.2f} m/s"),
-        ("predicted residual", _or_dash(plan.residual_rms_m_s2, "{:.3f} m/s^2 RMS", "no model predicts any")),
+        ("predicted residual", _or_dash(plan.residual_rms_m_s2, "{:.3f} m/s^2 RMS", "none, without a model")),
         *_off_reference(off),
         (
-            "beyond the region that the model's data covers",
+            "outside the model's trained region",
             _or_dash(
                 None if plan.outside_region is None else 100.0 * plan.outside_region,
                 "{:.1f} % of the time",
@@ -118,13 +118,13 @@ def _facts(plan: Plan, off: Sensitivity | None) -> list[tuple[str, str]]:
 
 
 def _off_reference(off: Sensitivity | None) -> list[tuple[str, str]]:
-    """Where the predicted residual depends most on being on the reference."""
+    """Return the greatest sensitivities of the predicted residual to deviations from the reference."""
     peaks = None if off is None else off.peaks()
     if peaks is None:
         return []
     return [
         (
-            f"greatest sensitivity of it to {to}",
+            f"its greatest sensitivity to {to}",
             f"{peak.value:.3g} {unit}, node {peak.node} at {peak.t_s:.2f} s",
         )
         for to, unit, peak in zip(
@@ -134,10 +134,10 @@ def _off_reference(off: Sensitivity | None) -> list[tuple[str, str]]:
 
 
 def status_words(plan: Plan) -> str:
-    """How the plan came about, for people."""
+    """Return a description of how the plan was found."""
     if not plan.iterations:
-        kept = "as it is" if plan.stretch <= 1.0 else "with more time"
-        return f"minimum-snap spline; it keeps every limit {kept}"
+        suffix = "" if plan.stretch <= 1.0 else " after stretching"
+        return f"minimum-snap spline; it keeps every limit{suffix}"
     words = SolveStatus[plan.status.upper()].value
     rounds = "1 round" if plan.rounds == 1 else f"{plan.rounds} rounds"
     return f"{words}: {plan.iterations} iterations in {rounds} on {plan.intervals} intervals"
@@ -146,7 +146,7 @@ def status_words(plan: Plan) -> str:
 def _margins(
     plan: Plan, route: Route, along: Profile, gates: Sequence[Passing], inside: ArrayLike
 ) -> list[tuple[str, str, str, str, str, str]]:
-    """Rows of limit, bound, least distance, unit, node and time."""
+    """Return rows of limit, bound, least distance, unit, node and time."""
     distances = along.margins(plan.limits, route.keep_out)
     nodes_us = [node.t_us for node in plan.reference.nodes]
     rows = []
@@ -156,7 +156,7 @@ def _margins(
         if name in distances:
             k = int(distances[name].argmin())
             at = (str(along.node[k]), f"{along.t_s[k]:.2f}")
-        elif name == GATES:  # they count only where they are passed, which is at nodes
+        elif name == GATES:  # gates count only where they are passed, which is at nodes
             t_us = gates[int(np.argmin(inside))].t_us
             at = (str(bisect_right(nodes_us, t_us) - 1), f"{t_us * 1e-6:.2f}")
         rows.append((title, _bound(name, plan.limits, route), f"{value:.3g}", unit, *at))
@@ -165,7 +165,7 @@ def _margins(
 
 def _bound(name: str, limits: Limits, route: Route) -> str:
     low, high = limits.thrust_headroom
-    told = {
+    text_by_name = {
         "geofence_m": " x ".join(f"[{a:g}, {b:g}]" for a, b in limits.geofence_m),
         "floor_m": "0",
         "speed_m_s": f"{limits.speed_max_m_s:g}",
@@ -176,7 +176,7 @@ def _bound(name: str, limits: Limits, route: Route) -> str:
         "thrust_high": f"{high:.3g}",
         YAW_RATE: "" if route.yaw.rate_max_rad_s is None else f"{route.yaw.rate_max_rad_s:g}",
     }
-    return told.get(name, "")
+    return text_by_name.get(name, "")
 
 
 def _or_dash(value: float | None, form: str, otherwise: str) -> str:
@@ -184,7 +184,7 @@ def _or_dash(value: float | None, form: str, otherwise: str) -> str:
 
 
 def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, object]) -> str:
-    """Return the HTML of a trade between residual and jerk; offline, one file."""
+    """Return the HTML of a comparison of residual and jerk between plans, one file that opens offline."""
     flown = any(point.flown is not None for point in points)
     units, cells = tabulate(points)
     head = ("plan", *(f"{name}, {unit}" for name, unit in units.items()), "status")
@@ -193,12 +193,12 @@ def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, o
     parts = [{"title": "The plans", "head": head, "numbers": head[1:-1], "rows": rows}]
     if missing:
         parts.append(
-            {"title": "No plan, or no flight", "head": ("plan", "why"), "numbers": (), "rows": missing}
+            {"title": "Missing plans and flights", "head": ("plan", "reason"), "numbers": (), "rows": missing}
         )
     return render(
         "plan.html.j2",
         title=f"{route.name}: residual against jerk",
-        sentence="The same route and time, planned with other weights and by other kinds"
+        sentence="The same route and time, planned with different weights and kinds"
         + (", each flown once in the same simulated world." if flown else "."),
         figures=[trade_figures.trade(points)],
         parts=parts,

@@ -1,4 +1,4 @@
-"""Pictures of plans over time: node by node, and along the reference."""
+"""Figures of a plan over time: at its nodes, and along the reference."""
 
 from __future__ import annotations
 
@@ -22,74 +22,76 @@ from trimtab.host.route import Route
 _COLOURS = (AFTER, BEFORE, "#c29a3a", "#6b5b95")
 _MARGIN_COLOURS = (*_COLOURS, "#6a9a5b")
 _SAMPLES = 2500
-"""Most samples a line is drawn with."""
+"""Greatest number of samples in a line."""
 _NODES = 300
-"""More nodes than that are not points."""
+"""Greatest number of nodes that are drawn as points."""
 _NODE_STEPS = tuple(factor * 10**power for power in range(6) for factor in (1, 2, 5))
 _LEAST_SHOWN_M = 1e-3
 _FAR = 3.0
-"""A limit this many times beyond what is reached is told, not shown."""
+"""A limit that exceeds the greatest value by this factor is written as text instead of drawn."""
 
 
 def per_node(
     plan: Plan, route: Route, along: Profile, off: Sensitivity | None, inside_gates: ArrayLike
 ) -> Figure:
-    """Residual, its sensitivity, and distance to every limit over time; nodes are points, where they are few.
+    """Draw the residual, its sensitivity and the distance to every limit over time, with nodes as points.
 
-    off: None where no model predicts a residual: those two panels are left out. inside_gates: metres, one for
-    each of the route's gates.
+    `off` is None if no model predicts a residual; its two panels are then left out. `inside_gates` holds a
+    distance in m for each of the route's gates.
     """
     keep, nodes = _kept(along), np.flatnonzero(np.diff(along.node, prepend=-1))
     few = len(nodes) <= _NODES
     dots: Any = {"linestyle": "", "marker": "." if few else "", "markersize": 4.0}
     rows = 2 if off is None else 4
-    told = []
+    facts = []
     with rc_context(STYLE):
         canvas, axes = plt.subplots(rows, 1, figsize=(9.6, 1.3 + 1.9 * rows), sharex=True)
-        rest = list(axes)
+        remaining = list(axes)
         if off is not None and along.residual is not None:
-            norm = _residual(rest[0], along, keep)
-            rest.pop(0).plot(along.t_s[nodes], norm[nodes], color=NEUTRAL, **dots)
-            _sensitivities(rest.pop(0), off, dots)
-            told.append(f"residual up to {norm.max():.2f} m/s^2")
+            norm = _residual(remaining[0], along, keep)
+            remaining.pop(0).plot(along.t_s[nodes], norm[nodes], color=NEUTRAL, **dots)
+            _sensitivities(remaining.pop(0), off, dots)
+            facts.append(f"residual up to {norm.max():.2f} m/s^2")
             if (peaks := off.peaks()) is not None:
                 v, a = peaks
-                told.append(f"its change up to {v.value:.2f} per m/s and {a.value:.2f} per rad")
-        least = _shares(rest[0], plan, along, keep)
-        rest[0].plot(along.t_s[nodes], least[nodes], color=NEUTRAL, **dots)
+                facts.append(f"its change up to {v.value:.2f} per m/s and {a.value:.2f} per rad")
+        smallest = _shares(remaining[0], plan, along, keep)
+        remaining[0].plot(along.t_s[nodes], smallest[nodes], color=NEUTRAL, **dots)
         passed_s = [plan.waypoint_times_s[gate.waypoint] for gate in route.gates or ()]
         if passed_s:
             near = np.maximum(inside_gates, _LEAST_SHOWN_M)
-            rest[1].plot(passed_s, near, "D", color="black", markersize=4.0, label="edges of gates", zorder=3)
-        _distances(rest[1], along.margins(plan.limits, route.keep_out), along.t_s, keep)
+            remaining[1].plot(
+                passed_s, near, "D", color="black", markersize=4.0, label="edges of gates", zorder=3
+            )
+        _distances(remaining[1], along.margins(plan.limits, route.keep_out), along.t_s, keep)
         _marked(axes, plan, along)
         canvas.align_ylabels(axes)
-    told.append(f"least margin {100.0 * least.min():.1f} % of its limit")
-    caption = "Node by node (points; their numbers are below the time). " if few else "Along the nodes. "
+    facts.append(f"least margin {100.0 * smallest.min():.1f} % of its limit")
+    caption = "Points are nodes, numbered below the time axis. " if few else "Along the nodes. "
     if off is not None:
         caption += (
-            "Sensitivity: by how much the residual changes, at most, per m/s or rad off the reference "
-            "(greatest singular value of its slopes; rotor thrusts held). "
+            "Sensitivity: greatest change of the residual per m/s or rad off the reference "
+            "(greatest singular value of its Jacobian, at constant rotor thrusts). "
         )
-    caption += "Margins: distance to each limit, of the limit; for thrust, of half its range."
+    caption += "Margins: distance to each limit as a share of the limit; for thrust, of half its range."
     caption += _grey(along)
-    return finish(canvas, caption, f"Over {along.t_s[-1]:.1f} s: {', '.join(told)}.")
+    return finish(canvas, caption, f"Over {along.t_s[-1]:.1f} s: {', '.join(facts)}.")
 
 
 def _grey(along: Profile) -> str:
-    """Return what grey means, where there is any."""
+    """Return the explanation of grey areas, or an empty string if there are none."""
     if along.outside is None or not along.outside.any():
         return ""
-    return " Grey: beyond the region that the model's data covers."
+    return " Grey: outside the model's trained region."
 
 
 def _kept(along: Profile) -> np.ndarray:
-    """Return samples that are drawn."""
+    """Return the indices of the samples that are drawn."""
     return np.unique(np.linspace(0, len(along.t_s) - 1, min(len(along.t_s), _SAMPLES)).round().astype(int))
 
 
 def _residual(ax: Any, along: Profile, keep: np.ndarray) -> np.ndarray:
-    """Components and norm of the predicted residual; the norm at all samples."""
+    """Draw components and norm of the predicted residual. Return the norm at all samples."""
     norm = along.residual_m_s2
     assert along.residual is not None
     assert norm is not None
@@ -116,20 +118,20 @@ def _sensitivities(ax: Any, off: Sensitivity, dots: Any) -> None:
 
 
 def _shares(ax: Any, plan: Plan, along: Profile, keep: np.ndarray) -> np.ndarray:
-    """Margins as shares of their limits, and the least of them; that at all samples."""
+    """Draw margins as shares of their limits, and the smallest. Return the smallest at all samples."""
     shares = along.margin_shares(plan.limits)
-    least = np.min(list(shares.values()), axis=0)
+    smallest = np.min(list(shares.values()), axis=0)
     for (name, values), colour in zip(shares.items(), _MARGIN_COLOURS, strict=True):
         ax.plot(along.t_s[keep], values[keep], color=colour, linewidth=1.1, label=name)
-    ax.plot(along.t_s[keep], least[keep], color=NEUTRAL, linewidth=1.6, label="least")
+    ax.plot(along.t_s[keep], smallest[keep], color=NEUTRAL, linewidth=1.6, label="least")
     ax.axhspan(-0.08, 0.0, color=FORBIDDEN, alpha=0.18, linewidth=0)
     ax.set(ylim=(-0.08, 1.04), ylabel="margin, of limit")
     _legend(ax)
-    return least
+    return smallest
 
 
 def _distances(ax: Any, distances: Mapping[str, np.ndarray], t_s: np.ndarray, keep: np.ndarray) -> None:
-    """Distances that are lengths, on a logarithmic axis: a keep-out shape is near where a geofence is far."""
+    """Draw distances in m on a logarithmic axis, because a geofence is much farther than a keep-out shape."""
     for name, title, colour in (
         ("geofence_m", "geofence", AFTER),
         ("floor_m", "floor", _COLOURS[2]),
@@ -148,9 +150,9 @@ def _distances(ax: Any, distances: Mapping[str, np.ndarray], t_s: np.ndarray, ke
 
 
 def over_time(plan: Plan, along: Profile) -> Figure:
-    """Speed, tilt, body rates, rotor thrusts, jerk over time; limits shaded, waypoints marked.
+    """Draw speed, tilt, body rates, rotor thrusts and jerk over time, with limits and waypoints.
 
-    Samples beyond the region that the model's data covers are shaded in grey.
+    Samples outside the model's trained region are shaded in grey.
     """
     keep, limits = _kept(along), plan.limits
     t_s = along.t_s[keep]
@@ -175,18 +177,18 @@ def over_time(plan: Plan, along: Profile) -> Figure:
         _thrusts(axes[3], along, limits.thrust_headroom)
         _marked(axes, plan, along)
         canvas.align_ylabels(axes)
-    caption = "Along the reference; dotted lines with their numbers are waypoints, red is beyond a limit."
+    caption = "Along the reference. Dotted lines with numbers are waypoints; red is beyond a limit."
     caption += _grey(along)
     alt = (
         f"Over {along.t_s[-1]:.1f} s: speed up to {along.speed_m_s.max():.2f} m/s, tilt to "
         f"{along.tilt_deg.max():.0f} deg, rotor thrust {along.thrust_share.min():.2f} to "
-        f"{along.thrust_share.max():.2f} of the greatest, jerk to {along.jerk_m_s3.max():.0f} m/s^3."
+        f"{along.thrust_share.max():.2f} of the maximum, jerk to {along.jerk_m_s3.max():.0f} m/s^3."
     )
     return finish(canvas, caption, alt)
 
 
 def _marked(axes: Sequence[Any], plan: Plan, along: Profile) -> None:
-    """Waypoints, with numbers on top, and samples beyond the model's region; time and nodes below."""
+    """Mark waypoints and samples outside the trained region; label waypoints above, time and nodes below."""
     thin = 0.8 if len(plan.waypoint_times_s) <= MANY else 0.4
     for ax in axes:
         for at in plan.waypoint_times_s:
@@ -210,13 +212,13 @@ def _marked(axes: Sequence[Any], plan: Plan, along: Profile) -> None:
 
 
 def _numbers(times_s: Sequence[float]) -> list[str]:
-    """Waypoints' numbers, without those that would stand on another."""
-    told, last = [], -np.inf
+    """Return labels of the waypoints, empty where they would overlap."""
+    labels, last = [], -np.inf
     for k, at in enumerate(times_s):
         room = at - last > 0.009 * (1 + len(str(k))) * times_s[-1]
-        told.append(str(k) if room else "")
+        labels.append(str(k) if room else "")
         last = at if room else last
-    return told
+    return labels
 
 
 def _legend(ax: Any) -> None:
@@ -224,7 +226,7 @@ def _legend(ax: Any) -> None:
 
 
 def _upper(ax: Any, reached: float, bound: float, unit: str) -> None:
-    """Shade the range of a quantity with an upper limit, or say how far away the limit is."""
+    """Shade the range beyond an upper limit, or write the limit if it is far away."""
     if bound > _FAR * max(reached, 1e-9):
         ax.set_ylim(0.0, 1.12 * max(reached, 0.01 * bound))
         ax.text(1.008, 0.5, f"limit\n{bound:g} {unit}", transform=ax.transAxes, fontsize=8, color=FORBIDDEN)
@@ -256,12 +258,12 @@ def _thrusts(ax: Any, along: Profile, headroom: tuple[float, float]) -> None:
     ax.axhspan(min(0.0, float(along.thrust_share.min())), low, color=FORBIDDEN, alpha=0.18, linewidth=0)
     ax.axhspan(high, max(top, high), color=FORBIDDEN, alpha=0.18, linewidth=0)
     ax.set_ylim(min(0.0, float(along.thrust_share.min())), top)
-    ax.set_ylabel("thrust, of greatest")
+    ax.set_ylabel("thrust, of maximum")
     _legend(ax)
 
 
 def _spans(ax: Any, t_s: np.ndarray, inside: np.ndarray) -> None:
-    """Grey wherever the flag is set."""
+    """Shade the times at which the flag is set."""
     edges = np.flatnonzero(np.diff(np.concatenate([[False], inside, [False]]).astype(int)))
     for start, stop in zip(edges[::2], edges[1::2], strict=True):
         ax.axvspan(t_s[start], t_s[stop - 1], color=FLOOR, alpha=0.22, linewidth=0, zorder=0)

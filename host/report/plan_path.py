@@ -1,4 +1,4 @@
-"""The path of a plan from above and from the side, with the route's waypoints, gates and keep-out shapes."""
+"""Figure of a plan's path from above and from the side, with waypoints, gates and keep-out shapes."""
 
 from __future__ import annotations
 
@@ -19,24 +19,24 @@ from trimtab.host.route.shapes import Box, Shape, Sphere
 
 FORBIDDEN = "#b5482f"
 MANY = 40
-"""More waypoints than that are small points, of which the first and the last have their numbers."""
+"""Above this number, waypoints are small points, and only the first and the last are numbered."""
 _GATE = "#111111"
 _GATE_WIDTH = 1.6
 _SHADOW: Any = {"facecolor": FORBIDDEN, "alpha": 0.3, "edgecolor": FORBIDDEN, "linewidth": 1.0}
 _PIECES = 2000
-"""Most pieces a coloured path is drawn with."""
+"""Greatest number of pieces in a coloured path."""
 _LEAST_SPAN_M = 0.5
 
 
 def path(route: Route, along: Profile) -> Figure:
-    """Return the path from above and from the side with waypoints, gates and keep-out shapes, on equal axes.
+    """Draw the path from above and from the side with waypoints, gates and keep-out shapes, on equal axes.
 
-    Coloured by predicted residual, by speed where none is predicted. Shapes and gates are drawn as their
-    projections: a path that crosses one may be before or behind it.
+    The colour is the predicted residual, or the speed if no residual is predicted. Shapes and gates are drawn
+    as projections, so a path that crosses one may be in front of it or behind it.
     """
     by_residual = along.residual_m_s2 is not None
     shade = along.speed_m_s if along.residual_m_s2 is None else along.residual_m_s2
-    what = "predicted residual, m/s$^2$" if by_residual else "speed, m/s"
+    quantity = "predicted residual, m/s$^2$" if by_residual else "speed, m/s"
     north, east, down = along.p_ned
     spans = [float(np.ptp(axis)) for axis in _with_waypoints(along, route)]
     side = 0 if spans[0] > spans[1] else 1
@@ -53,7 +53,7 @@ def path(route: Route, along: Profile) -> Figure:
             for gate in route.gates or ():
                 ax.add_patch(_gate(gate, np.array(route.waypoints_m[gate.waypoint]), take))
             lines = _coloured(ax, np.stack(xy, axis=1), shade)
-            marks = _seen(np.array(route.waypoints_m), take)
+            marks = _projected(np.array(route.waypoints_m), take)
             size = 6.0 if len(marks) <= MANY else 3.0
             ax.plot(*marks.T, "o", color="white", markeredgecolor=NEUTRAL, markersize=size, zorder=3)
             middle = 0.5 * (marks.min(axis=0) + marks.max(axis=0))
@@ -65,19 +65,19 @@ def path(route: Route, along: Profile) -> Figure:
             ax.locator_params(nbins=7)
             ax.set(title=title, xlabel=f"{names[0]}, m", ylabel=f"{names[1]}, m")
         _numbered(axes[0], np.array(route.waypoints_m)[:, [1, 0]])
-        canvas.colorbar(lines, ax=axes.tolist(), label=what, shrink=0.85)
+        canvas.colorbar(lines, ax=axes.tolist(), label=quantity, shrink=0.85)
         canvas.legend(handles=_handles(route), loc="outside lower center", ncols=4, frameon=False, fontsize=9)
-    plain = what.replace("$", "")
+    plain = quantity.replace("$", "")
     caption = f"The path, coloured by {plain.split(',')[0]}."
     alt = f"Path from above and from the side; {plain}, up to {shade.max():.2g}"
     if route.gates or route.keep_out:
-        caption += " What stands beside it is drawn as its projection: the path may be before or behind it."
+        caption += " Gates and shapes are drawn as projections: the path may be in front of them or behind."
         alt += f"; {len(route.gates or ())} gates, {len(route.keep_out)} keep-out shapes"
     return finish(canvas, caption, f"{alt}.")
 
 
 def _handles(route: Route) -> list[Any]:
-    """Return what a picture of the route's path has, for its legend."""
+    """Return the entries of the figure's legend."""
     handles: list[Any] = [
         Line2D([], [], linestyle="", marker="o", color="white", markeredgecolor=NEUTRAL, label="waypoint")
     ]
@@ -93,19 +93,19 @@ def _handles(route: Route) -> list[Any]:
 
 
 def _gate(gate: Gate, centre_ned: np.ndarray, take: tuple[int, int]) -> Any:
-    """Return a gate's projection on a plane of two NED axes; height is up.
+    """Return a gate's projection on a plane of two NED axes; height points up.
 
     An opening seen edge-on is a line.
     """
     style: Any = {"fill": False, "edgecolor": _GATE, "linewidth": _GATE_WIDTH, "zorder": 2.5}
     if gate.radius_m is not None:
-        x, y = _seen(centre_ned, take)
+        x, y = _projected(centre_ned, take)
         return Circle((x, y), gate.radius_m, **style)
-    return Polygon(_seen(gate.corners_ned(centre_ned), take), joinstyle="round", **style)
+    return Polygon(_projected(gate.corners_ned(centre_ned), take), joinstyle="round", **style)
 
 
-def _seen(points_ned: np.ndarray, take: tuple[int, int]) -> np.ndarray:
-    """(..., 2) points (..., 3) in a plane of two NED axes; height is up."""
+def _projected(points_ned: np.ndarray, take: tuple[int, int]) -> np.ndarray:
+    """Return the projection (..., 2) of points (..., 3) on a plane of two NED axes; height points up."""
     return points_ned[..., list(take)] * np.array([1.0, -1.0 if take[1] == 2 else 1.0])
 
 
@@ -126,7 +126,7 @@ def _coloured(ax: Any, xy: np.ndarray, shade: np.ndarray) -> LineCollection:
 
 
 def _numbered(ax: Any, xy: np.ndarray) -> None:
-    """Numbers beside the waypoints; those at one place share a label."""
+    """Write numbers beside the waypoints. Waypoints close to each other share a label."""
     groups: list[tuple[np.ndarray, list[str]]] = []
     near = 0.03 * max(float(np.ptp(xy, axis=0).max()), 0.1)
     for k, point in enumerate(xy):
@@ -139,9 +139,9 @@ def _numbered(ax: Any, xy: np.ndarray) -> None:
         else:
             groups.append((point, [str(k)]))
     for place, names in groups:
-        told = ", ".join(names) if len(names) <= 3 else f"{names[0]}, {names[1]}, ..."
+        label = ", ".join(names) if len(names) <= 3 else f"{names[0]}, {names[1]}, ..."
         ax.annotate(
-            told,
+            label,
             place,
             xytext=(5, 5),
             textcoords="offset points",
@@ -153,9 +153,9 @@ def _numbered(ax: Any, xy: np.ndarray) -> None:
 
 
 def _outline(shape: Shape, take: tuple[int, int]) -> Any:
-    """Return a shape's shadow in a plane of two NED axes; height is up."""
+    """Return a shape's projection on a plane of two NED axes; height points up."""
     if isinstance(shape, Sphere):
-        x, y = _seen(np.array(shape.centre_m), take)
+        x, y = _projected(np.array(shape.centre_m), take)
         return Circle((x, y), shape.radius_m, **_SHADOW)
     if isinstance(shape, Box):
         low, high = list(shape.min_m), list(shape.max_m)

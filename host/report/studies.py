@@ -1,4 +1,4 @@
-"""Which page goes with which study, by the study's name."""
+"""The report module of each study, by the study's name."""
 
 from __future__ import annotations
 
@@ -10,18 +10,18 @@ from trimtab.host.report.figures import Figure
 
 
 class Reporter(Protocol):
-    """A module that draws a study's outcome."""
+    """A module that makes the report of a study."""
 
     @staticmethod
     def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-        """Pictures by file stem."""
+        """Return the pictures by file stem."""
         ...
 
     @staticmethod
     def page(
         outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]
     ) -> str:
-        """Return the HTML."""
+        """Return the HTML of the report."""
         ...
 
 

@@ -1,4 +1,4 @@
-"""The page of a study: table, who was taken for whom, errors beside their intervals, what went wrong."""
+"""Report of the blind study: scores, confusion table, errors with their intervals, wrong verdicts."""
 
 from __future__ import annotations
 
@@ -12,15 +12,13 @@ from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """Return the study's pictures by file stem: `confusion` and, where an effect was named rightly,
-    `coverage`.
-    """
-    found = {
+    """Return the pictures by file stem: `confusion` and, if an effect was named correctly, `coverage`."""
+    drawn = {
         "confusion": figures.counts(
             outcome["confusion"],
-            "Worlds by what they held and what was named first; shaded by share of the row.",
-            rows="what the world held",
-            columns="what was named first, or the verdict",
+            "Worlds by true effect and by the effect named first; shaded by share of the row.",
+            rows="true effect",
+            columns="effect named first, or verdict",
         )
     }
     families = {name: errors for name, errors in outcome["deviations"].items() if errors}
@@ -29,14 +27,14 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
         coverage = {
             name: (by_family[name]["coverage_2sigma"], *by_family[name]["interval"]) for name in families
         }
-        found["coverage"] = figures.deviations(
-            families, coverage, "Errors of the parameters of effects that were named rightly, by family."
+        drawn["coverage"] = figures.deviations(
+            families, coverage, "Errors of the parameters of correctly named effects, by family."
         )
-    return found
+    return drawn
 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
-    """Return the HTML of a study's report; offline, one file."""
+    """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
     return render(
         "study.html.j2",

@@ -1,4 +1,4 @@
-"""The page of a study of a section of the paper: its tables, its pictures."""
+"""Report of a study of a section of the paper: tables and figures."""
 
 from __future__ import annotations
 
@@ -16,9 +16,9 @@ def tables_page(
     drawn: Mapping[str, Figure],
     provenance: Mapping[str, object],
 ) -> str:
-    """Return the HTML of a study's report; offline, one file."""
+    """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
-    scope = "a quick look, no figure of record" if answer["quick"] else f"{answer['worlds']} worlds"
+    scope = "quick check, not for the record" if answer["quick"] else f"{answer['worlds']} worlds"
     return render(
         "tables.html.j2",
         title=f"The paper's {section} section: {scope}, seed {answer['seed']}",

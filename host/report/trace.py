@@ -1,4 +1,4 @@
-"""The page of a trace: verdict, health of the data, error before and after, ranking, parameters, limits."""
+"""Report of a trace: verdict, parameters, errors before and after, ranking, health of the data."""
 
 from __future__ import annotations
 
@@ -30,8 +30,10 @@ def page(
     answer: Mapping[str, Any],
     extra: Mapping[str, Any] | None = None,
 ) -> str:
-    """Return the HTML of the report; `extra` adds sections: a list of {title, text, figures, table} under
-    "sections".
+    """Return the HTML of the report.
+
+    `extra` adds sections, a list of {title, text, figures, table} under "sections", and entries of the JSON
+    data under "data".
     """
     pictures = []
     if result.before:
@@ -41,7 +43,7 @@ def page(
             for title, errors in (("before", result.before), ("after", result.after))
         ]
         caption = (
-            "Path of the held-out flight with the greatest error before, coloured by the prediction's error."
+            "Path of the held-out flight with the greatest error before, coloured by the prediction error."
         )
         pictures.append(figures.paths(panels, caption))
         pictures.append(figures.residuals(result.before, result.after, result.noise_floor["position_rmse_m"]))
@@ -65,8 +67,9 @@ def page(
 
 
 def _table(result: Trace) -> list[dict[str, Any]]:
-    """Rows of position error by axis and norm: rms, 95th percentile and greatest, before, adjusted and
-    after.
+    """Return rows of position errors, mm, for "before", "adjustments only" and "after".
+
+    Each holds the RMS by axis, and the RMS, 95th percentile and maximum of the norm.
     """
     if not result.before:
         return []

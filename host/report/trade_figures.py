@@ -1,4 +1,4 @@
-"""The picture of a trade between plans: residual, and error where they were flown, over jerk and lambda_r."""
+"""Figure that compares plans: residual, and error if they were flown, over jerk and lambda_r."""
 
 from __future__ import annotations
 
@@ -17,10 +17,9 @@ _Value = Callable[[Point], float | None]
 
 
 def trade(points: Sequence[Point]) -> Figure:
-    """Rows: predicted residual, and the mean error of the flights if there are any. Columns: over jerk, over
-    lambda_r.
+    """Draw the residual, and the mean error of flights if there are any, over jerk and over lambda_r.
 
-    Plans with scaled weights are joined in their order; lines stand for the kinds without lambda_r.
+    Plans with scaled weights are connected in their order. Horizontal lines are the kinds without lambda_r.
     """
     rows: list[tuple[str, _Value]] = [
         ("predicted residual, RMS, m/s$^2$", lambda point: point.residual_rms_m_s2)
@@ -37,14 +36,14 @@ def trade(points: Sequence[Point]) -> Figure:
             over_jerk.set_ylabel(title)
         axes[-1][0].set_xlabel("jerk, RMS, m/s$^3$")
         axes[-1][1].set_xlabel(r"$\lambda_r$, m$^2$/s$^4$ per N$^2$")
-    told = "; ".join(f"{point.label} {y:.2f} at {x:.1f}" for point, x, y in _known(points, rows[0][1]))
-    alt = f"Predicted residual in m/s^2 at jerk in m/s^3: {told or 'no plan was found'}."
+    listed = "; ".join(f"{point.label} {y:.2f} at {x:.1f}" for point, x, y in _known(points, rows[0][1]))
+    alt = f"Predicted residual in m/s^2 at jerk in m/s^3: {listed or 'no plan was found'}."
     if len(rows) > 1:
         flown = "; ".join(f"{point.label} {y:.1f}" for point, _, y in _known(points, _error_mm))
         alt += f" Mean error of the flights in mm: {flown}."
     caption = (
-        "What a smaller residual costs: numbers are factors on the weights of thrusts and their rates; "
-        "lambda_r is the paper's name for the former. Dashed: the kinds without one."
+        "Cost of a smaller residual. Numbers are factors on the weights of thrusts and thrust rates; "
+        "lambda_r is the paper's symbol for the weight of thrusts. Dashed: the kinds without lambda_r."
     )
     return finish(canvas, caption, alt)
 
@@ -54,7 +53,7 @@ def _error_mm(point: Point) -> float | None:
 
 
 def _known(points: Sequence[Point], value: _Value) -> list[tuple[Point, float, float]]:
-    """Points with a value, with their jerk and it."""
+    """Return the points that have a value, each with its jerk and the value."""
     return [
         (point, point.jerk_rms_m_s3, y)
         for point in points
@@ -70,18 +69,18 @@ def _over_jerk(ax: Any, points: Sequence[Point], value: _Value) -> None:
     places = np.array([(x, y) for _, x, y in known])
     reach = np.ptp(places, axis=0) + 1e-9 if known else np.ones(2)
     for k, (point, x, y) in enumerate(known):
-        told = point.kind if point.factor is None else f"x {point.factor:g}"
+        label = point.kind if point.factor is None else f"x {point.factor:g}"
         if point.factor is None:
             ax.plot(x, y, "s", color=BEFORE, markersize=6.5)
         crowded = (np.abs((places[:k] - places[k]) / reach) < (0.2, 0.12)).all(axis=1).any()
         offset = (7, -13) if crowded else (7, 6)
-        ax.annotate(told, (x, y), xytext=offset, textcoords="offset points", fontsize=9)
+        ax.annotate(label, (x, y), xytext=offset, textcoords="offset points", fontsize=9)
     ax.margins(_MARGIN)
 
 
 def _over_lambda(ax: Any, points: Sequence[Point], value: _Value) -> None:
-    found = [(point.lambda_r, y) for point in points if (y := value(point)) is not None]
-    scaled = [(x, y) for x, y in found if x is not None]
+    known = [(point.lambda_r, y) for point in points if (y := value(point)) is not None]
+    scaled = [(x, y) for x, y in known if x is not None]
     if scaled:
         ax.plot(*zip(*scaled, strict=True), "o-", color=AFTER, linewidth=1.2, markersize=6.0)
         ax.set_xscale("log")

@@ -1,4 +1,4 @@
-"""Vehicle files: what a quadrotor is, read strictly from TOML into one frozen type."""
+"""Vehicle files: the properties of a quadrotor, read strictly from TOML into a frozen type."""
 
 from trimtab.host.vehicle.files import list_vehicles, load_vehicle, parse_vehicle
 from trimtab.host.vehicle.model import Battery, Gains, Limits, Rotor, Vehicle

@@ -1,4 +1,4 @@
-"""The inverse of a vehicle's allocation matrix: rotor thrusts for a collective thrust and a torque."""
+"""Inverse of a vehicle's allocation matrix: rotor thrusts from collective thrust and torque."""
 
 from __future__ import annotations
 

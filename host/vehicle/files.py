@@ -1,4 +1,4 @@
-"""Vehicle files: found by name or path, read strictly, written canonically."""
+"""Access to vehicle files: find by name or path, read strictly, write canonically."""
 
 from __future__ import annotations
 
@@ -19,81 +19,80 @@ def parse_vehicle(text: str, source: str) -> Vehicle:
     """
     data = parse_toml(text, source)
     try:
-        vehicle, told = validate(data, source, Vehicle), ()
+        vehicle, problems = validate(data, source, Vehicle), ()
     except ConfigurationError as error:
-        vehicle, told = None, error.problems
-    # What the board refuses and what lies between keys is told beside keys that are wrong by themselves.
-    wrong = {line.removeprefix(f"{source}: ").split(": ")[0] for line in told}
+        vehicle, problems = None, error.problems
+    # Also report parameters that the firmware refuses and relations between keys, for keys that are valid.
+    invalid = {line.removeprefix(f"{source}: ").split(": ")[0] for line in problems}
     more = [
-        f"{source}: {key}: {what}"
-        for key, what in parameter_problems(data)
-        if wrong.isdisjoint((key, key.rpartition("[")[0]))
+        f"{source}: {key}: {problem}"
+        for key, problem in parameter_problems(data)
+        if invalid.isdisjoint((key, key.rpartition("[")[0]))
     ]
     if hover := hover_problem(data):
         more.append(f"{source}: {hover}")
     if vehicle is None or more:
-        raise ConfigurationError(list(dict.fromkeys([*told, *more])))
+        raise ConfigurationError(list(dict.fromkeys([*problems, *more])))
     return vehicle
 
 
 def load_vehicle(name_or_path: str | Path, workspace: Path | None = None) -> Vehicle:
-    """Return the vehicle of a path, or of a name: looked up in `workspace`/vehicles, then among the shipped
-    ones.
+    """Return the vehicle of a path or of a name, from `workspace`/vehicles or from the shipped files.
 
-    Raises ConfigurationError (exit code 2) where no such file is, or it has problems.
+    Raises ConfigurationError (exit code 2) if there is no such file or it has problems.
     """
     path = find_file(name_or_path, "vehicles", workspace, what="vehicle")
     return parse_vehicle(read_text(path), shown(path))
 
 
 def list_vehicles(workspace: Path | None = None) -> dict[str, Path]:
-    """Name to file of every vehicle: the shipped ones, over them those of `workspace`."""
+    """Return the files of all vehicles by name. Those of `workspace` override the shipped ones."""
     return list_files("vehicles", workspace)
 
 
 def list_files(folder: str, workspace: Path | None) -> dict[str, Path]:
-    """Name to file of every TOML in the shipped `folder`, over them those of `workspace`; sorted by name."""
-    found: dict[str, Path] = {}
-    places = [Path(str(files("trimtab.host") / folder))]
+    """Return the TOML files of `folder` by sorted name. Those of `workspace` override the shipped ones."""
+    by_name: dict[str, Path] = {}
+    roots = [Path(str(files("trimtab.host") / folder))]
     if workspace is not None:
-        places.append(Path(workspace) / folder)
-    for place in places:
-        found.update({path.stem: path for path in sorted(place.glob("*.toml"))})
-    return dict(sorted(found.items()))
+        roots.append(Path(workspace) / folder)
+    for root in roots:
+        by_name.update({path.stem: path for path in sorted(root.glob("*.toml"))})
+    return dict(sorted(by_name.items()))
 
 
 def find_file(name_or_path: str | Path, folder: str, workspace: Path | None, *, what: str) -> Path:
-    """Return the file meant by a name or a path. Raises ConfigurationError naming the known ones."""
+    """Return the file of a name or a path. Raises ConfigurationError with the known names."""
     text = str(name_or_path)
     if text.endswith(".toml") or "/" in text or isinstance(name_or_path, Path):
         path = Path(text)
         if not path.is_file():
-            raise ConfigurationError([f"{text}: no such {what} file, check the path"])
+            raise ConfigurationError([f"{text}: no such {what} file; check the path"])
         return path
     known = list_files(folder, workspace)
     if text not in known:
         raise ConfigurationError(
-            [f"{text}: no such {what}, known: {', '.join(known) or 'none'}; or give a path to a .toml"]
+            [f"{text}: no such {what} (known: {', '.join(known) or 'none'}); give one or a path to a .toml"]
         )
     return known[text]
 
 
 def read_text(path: Path) -> str:
-    """Return a file's text. Raises ConfigurationError where it cannot be read or is not UTF-8."""
+    """Return a file's text. Raises ConfigurationError if it cannot be read or is not UTF-8."""
     try:
         return path.read_text(encoding="utf-8")
     except UnicodeDecodeError as error:
         raise ConfigurationError(
-            [f"{shown(path)}: not UTF-8 text at byte {error.start}, save it as UTF-8"]
+            [f"{shown(path)}: not UTF-8 text at byte {error.start}; save it as UTF-8"]
         ) from None
     except OSError as error:
         raise ConfigurationError(
-            [f"{shown(path)}: cannot be read ({error.strerror}), check the file"]
+            [f"{shown(path)}: cannot be read ({error.strerror}); check the file"]
         ) from None
 
 
 def write_toml(model: Strict) -> str:
-    """Canonical TOML of a strict model: fields in declared order, scalars first, `None` left out."""
+    """Return the canonical TOML of a strict model: fields in declared order, scalars first, no `None`."""
     lines: list[str] = []
     _write_table(model, "", lines)
     return "\n".join(lines) + "\n"
@@ -125,7 +124,7 @@ def _is_table(value: Any) -> bool:
 
 
 def _key(key: str) -> str:
-    """Return a bare key where TOML allows it, else a quoted one."""
+    """Return a bare key if TOML allows it, else a quoted one."""
     return key if key.replace("_", "").replace("-", "").isalnum() and key.isascii() else f'"{key}"'
 
 
@@ -142,7 +141,7 @@ def _value(value: Any) -> str:
 
 
 def shown(path: Path) -> str:
-    """Return a path as messages show it: relative where it lies below the current folder."""
+    """Return a path for messages: relative if it lies below the current folder."""
     try:
         return str(path.resolve().relative_to(Path.cwd()))
     except ValueError:

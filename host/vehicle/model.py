@@ -1,4 +1,4 @@
-"""The vehicle as its file declares it: one frozen type with the file's own keys.
+"""The content of a vehicle file, as a frozen type with the keys of the file.
 
 Frames: body FRD, world NED. Rotor i of the file is driven by motor_command[i]. A rotor's thrust is
 T / thrust_max_n = c1 u + c2 u^2 at full battery; its reaction torque about +z_frd is +torque_per_thrust_m T
@@ -28,7 +28,7 @@ Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
     """Return the interval itself. Raises ValueError unless low is below high."""
     if not interval[0] < interval[1]:
-        raise ValueError(f"{list(interval)} is not an interval, give [low, high] with low below high")
+        raise ValueError(f"{list(interval)} is not an interval; give [low, high] with low below high")
     return interval
 
 
@@ -39,7 +39,7 @@ SPIN_SIGN = {"ccw": 1, "cw": -1}
 
 
 class Rotor(Strict):
-    """One rotor: where it sits and which way it turns."""
+    """One rotor: its position and direction of rotation."""
 
     position_m: Vector3
     """From the centre of mass, FRD."""
@@ -63,14 +63,14 @@ class Battery(Strict):
     @field_validator("empty_v")
     @classmethod
     def _below_full(cls, value: float, info: ValidationInfo) -> float:
-        full_v = info.data.get("full_v")  # None where it is wrong itself
+        full_v = info.data.get("full_v")  # None if it is invalid itself
         if full_v is not None and not value < full_v:
-            raise ValueError(f"{value:g} is not below full_v {full_v:g}, mend one")
+            raise ValueError(f"{value:g} is not below full_v {full_v:g}; correct one of them")
         return value
 
 
 class Limits(Strict):
-    """What a plan may ask of the vehicle; the same limits are checked on board."""
+    """Bounds on every plan. The vehicle checks the same limits on board."""
 
     speed_max_m_s: Positive
     tilt_max_deg: Annotated[float, Field(gt=0.0, le=85.0)]
@@ -86,12 +86,12 @@ class Limits(Strict):
     @classmethod
     def _within_range(cls, value: tuple[float, float]) -> tuple[float, float]:
         if value[0] < 0.0 or value[1] > 1.0:
-            raise ValueError(f"{list(value)} leaves 0..1, give shares of thrust_max_n")
+            raise ValueError(f"{list(value)} is not within 0..1; give shares of thrust_max_n")
         return value
 
 
 class Gains(Strict):
-    """Gains of the on-board law, body axes FRD; positions and velocities in NED."""
+    """Gains of the on-board control law. Body axes are FRD; positions and velocities are NED."""
 
     position_p: NonNegative3
     """1/s^2."""
@@ -104,17 +104,17 @@ class Gains(Strict):
     rate_i: NonNegative3
     """1/s^2."""
     rate_d: NonNegative3
-    """Of the filtered body rate's derivative; no unit."""
+    """Gain of the derivative of the filtered body rate; dimensionless."""
     rate_integral_limit: NonNegative3
-    """Largest angular acceleration that the rate integral may ask for, rad/s^2."""
+    """Greatest angular acceleration from the rate integral, rad/s^2."""
     rate_filter_hz: Positive
-    """Corner of the first-order filter on the body rate."""
+    """Corner frequency of the first-order filter on the body rate."""
     observer: NonNegative | None = None
-    """Bandwidth of the disturbance observer, 1/s; without it the observer is off."""
+    """Bandwidth of the disturbance observer, 1/s. Without it, the observer is off."""
 
 
 def _read_only(mapping: Mapping[str, float]) -> Mapping[str, float]:
-    """Return the same entries behind a view that refuses changes."""
+    """Return a read-only copy of the mapping."""
     return MappingProxyType(dict(mapping))
 
 
@@ -122,7 +122,7 @@ ToleranceKey = Annotated[str, Field(pattern=r"^[a-z][a-z0-9]*(-[a-z0-9]+)*(\.[a-
 
 
 class Vehicle(Strict):
-    """A quadrotor. Keyword-only, immutable, hashable, picklable; `id` names its content."""
+    """A quadrotor. Immutable, hashable and picklable; `id` is the hash of its content."""
 
     name: Name
     mass_kg: Positive
@@ -138,31 +138,33 @@ class Vehicle(Strict):
     limits: Limits
     gains: Gains
     tolerances: Annotated[Mapping[ToleranceKey, Positive], AfterValidator(_read_only)]
-    """One sigma of what is not worth naming, by "effect.parameter" or "effect"."""
+    """One standard deviation of what is not worth naming, by "effect.parameter" or "effect"."""
 
     @field_validator("inertia_kg_m2")
     @classmethod
     def _inertia_of_a_body(cls, value: tuple[float, float, float]) -> tuple[float, float, float]:
         if 2.0 * max(value) > sum(value) * (1.0 + 1e-9):
-            raise ValueError(f"{list(value)} is no rigid body's, no axis may exceed the sum of the other two")
+            raise ValueError(
+                f"{list(value)} is not possible for a rigid body; no axis may exceed the sum of the other two"
+            )
         return value
 
     @field_validator("thrust_curve")
     @classmethod
     def _curve_reaches_one(cls, value: tuple[float, float]) -> tuple[float, float]:
         if abs(sum(value) - 1.0) > 1e-9:
-            raise ValueError(f"c1 + c2 is {sum(value):g}, scale them to a sum of 1")
+            raise ValueError(f"c1 + c2 is {sum(value):g}; scale them to a sum of 1")
         return value
 
     @field_validator("rotors")
     @classmethod
     def _rotors_span_all_axes(cls, value: tuple[Rotor, ...]) -> tuple[Rotor, ...]:
-        # The 4 x 4 allocation is singular exactly when some combination of rotors changes nothing.
+        # The 4 x 4 allocation matrix is singular exactly if some combination of rotor thrusts has no effect.
         rows = [[1.0, -r.position_m[1], r.position_m[0], float(r.spin_sign)] for r in value]
         size = max(abs(entry) for row in rows for entry in row[1:3]) or 1.0
         scaled = [[row[0], row[1] / size, row[2] / size, row[3]] for row in rows]
         if abs(_determinant(scaled)) < 1e-6:
-            raise ValueError("these rotors cannot turn the vehicle about all axes, check positions and spins")
+            raise ValueError("these rotors cannot turn the vehicle about all axes; check positions and spins")
         return value
 
     @model_validator(mode="after")
@@ -182,7 +184,7 @@ class Vehicle(Strict):
         return bytes.fromhex(self.id)
 
     def tolerance(self, effect: str, parameter: str, default: float) -> float:
-        """One sigma of `effect.parameter`: its own entry, else the effect's, else `default`."""
+        """Return the tolerance of `effect.parameter`: its own entry, else the effect's, else `default`."""
         return self.tolerances.get(f"{effect}.{parameter}", self.tolerances.get(effect, default))
 
     def replace(self, **changes: Any) -> Vehicle:
@@ -191,7 +193,7 @@ class Vehicle(Strict):
         return validate({**fields, **changes}, self.name, Vehicle)
 
     def to_toml(self) -> str:
-        """Canonical TOML text: the same vehicle gives the same bytes, and reads back equal."""
+        """Return the canonical TOML text. The same vehicle gives the same bytes, and reads back equal."""
         from trimtab.host.vehicle.files import write_toml
 
         return write_toml(self)
@@ -200,14 +202,14 @@ class Vehicle(Strict):
         return hash(self.id)
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How to build the same vehicle in another process."""
+        """Return the function and arguments that rebuild the vehicle, for pickle."""
         from trimtab.host.vehicle.files import parse_vehicle
 
         return parse_vehicle, (self.to_toml(), self.name)
 
 
 def hover_problem(data: Mapping[str, Any]) -> str | None:
-    """Why the vehicle of this plain data cannot hover; None where it can, or where a number is no use."""
+    """Return why the vehicle cannot hover, or None if it can or if a number is missing or invalid."""
     mass_kg = number(value_at(data, ("mass_kg",)))
     thrust_max_n = number(value_at(data, ("thrust_max_n",)))
     share = number(value_at(data, ("limits", "thrust_headroom", 1)))
@@ -217,13 +219,13 @@ def hover_problem(data: Mapping[str, Any]) -> str | None:
     if not 0.0 < ceiling <= weight:
         return None
     return (
-        f"cannot hover: the rotors may give {ceiling:.3g} N in all, the weight is {weight:.3g} N; "
+        f"cannot hover: the rotors give at most {ceiling:.3g} N in total, the weight is {weight:.3g} N; "
         "raise thrust_max_n or limits.thrust_headroom, or lower mass_kg"
     )
 
 
 def _determinant(matrix: list[list[float]]) -> float:
-    """Return determinant by expansion along the first row."""
+    """Return the determinant by expansion along the first row."""
     if len(matrix) == 1:
         return matrix[0][0]
     total = 0.0

@@ -1,4 +1,4 @@
-"""The one mapping from a vehicle file to the parameters on board."""
+"""Mapping from a vehicle file to the parameters on board."""
 
 from __future__ import annotations
 
@@ -10,48 +10,47 @@ from trimtab.host.vehicle.strict_toml import ConfigurationError, key_path, numbe
 from trimtab.protocol.parameters import BY_NAME, complete
 
 THRUST_MIN_SHARE = 1.0 / 170.0
-"""Least thrust of an armed rotor, of thrust_max_n, so that it keeps turning; 0.05 N for the research quad."""
+"""Minimum thrust of an armed rotor over thrust_max_n, so that it keeps turning; 0.05 N for `research`."""
 
 
 def to_parameters(vehicle: Vehicle) -> dict[str, float]:
-    """Return a value for every parameter of protocol's table, as float32: the vehicle's, defaults for the
-    rest.
+    """Return a float32 value for every parameter of the protocol's table: the vehicle's, or the default.
 
-    Raises ConfigurationError naming the keys whose values the table does not allow.
+    Raises ConfigurationError with the keys whose values the table does not allow.
     """
     data = vehicle.model_dump(exclude={"tolerances"})
     problems = parameter_problems(data)
     if problems:
-        raise ConfigurationError([f"{vehicle.name}: {key}: {what}" for key, what in problems])
+        raise ConfigurationError([f"{vehicle.name}: {key}: {problem}" for key, problem in problems])
     return complete({name: value for name, _, value in _mapping(data)})
 
 
 def parameter_problems(data: Mapping[str, Any]) -> list[tuple[str, str]]:
-    """(key path, what and remedy) of each value in a vehicle's plain data that it cannot hold on board.
+    """Return (key path, problem and remedy) for each value that the firmware does not accept.
 
-    Values that are missing or of another type are left out: the vehicle's own check tells those.
+    Values that are missing or of another type are left out; the validation of the vehicle reports those.
     """
     problems = []
     for name, key, value in _mapping(data):
         try:
             BY_NAME[name].check(value)
         except ValueError as error:
-            problems.append((key, f"cannot be set on board, {error}; change it"))
+            problems.append((key, f"the firmware does not accept it: {error}; change it"))
     return problems
 
 
 def _mapping(data: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
-    """(parameter, key path in the vehicle file, value) of everything that a vehicle file decides."""
-    for name, path in _places():
-        found = value_at(data, path)
-        value = number(SPIN_SIGN.get(str(found)) if path[-1] == "spin" else found)
+    """Yield (parameter, key path in the vehicle file, value) for every parameter that a vehicle file sets."""
+    for name, path in _locations():
+        entry = value_at(data, path)
+        value = number(SPIN_SIGN.get(str(entry)) if path[-1] == "spin" else entry)
         if value is not None:
             scale = THRUST_MIN_SHARE if name == "THRUST_MIN" else 1.0
             yield name, key_path(path, data), value * scale
 
 
-def _places() -> Iterator[tuple[str, tuple[str | int, ...]]]:
-    """(parameter, where in the vehicle file its value stands)."""
+def _locations() -> Iterator[tuple[str, tuple[str | int, ...]]]:
+    """Yield each parameter and the location of its value in the vehicle file."""
     yield "MASS", ("mass_kg",)
     yield from _axes("INERTIA", "XYZ", "inertia_kg_m2")
     for k in range(4):
@@ -90,6 +89,6 @@ def _places() -> Iterator[tuple[str, tuple[str | int, ...]]]:
 
 
 def _axes(stem: str, axes: str, *path: str) -> Iterator[tuple[str, tuple[str | int, ...]]]:
-    """One row an axis."""
+    """Yield one row for each axis."""
     for k, axis in enumerate(axes):
         yield f"{stem}_{axis}", (*path, k)

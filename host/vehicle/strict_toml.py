@@ -1,6 +1,6 @@
-"""TOML files from users, read strictly: unknown keys refused, all problems told at once.
+"""Strict reader for users' TOML files: unknown keys are refused, and all problems are reported at once.
 
-One problem is one line, `file: key.path: what, remedy`. Vehicles, routes and worlds come through here.
+One problem is one line, `file: key.path: problem; remedy`. Vehicles, routes and worlds are read here.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from trimtab.host.base.errors import TrimtabError
 
 
 class ConfigurationError(TrimtabError, ValueError):
-    """A file from a user says something wrong; `problems` holds one line for each thing to mend."""
+    """A user's file is invalid; `problems` holds one line for each problem."""
 
     exit_code = 2
 
@@ -26,12 +26,12 @@ class ConfigurationError(TrimtabError, ValueError):
         super().__init__("\n".join(self.problems))
 
     def __reduce__(self) -> tuple[Any, ...]:
-        """How to build the same error in another process."""
+        """Return the type and arguments that rebuild the error, for pickle."""
         return type(self), (self.problems,)
 
 
 class Strict(BaseModel):
-    """Base of everything read from a user's TOML: frozen, no unknown keys, no coercion, finite numbers."""
+    """Base class of users' TOML files: frozen, no unknown keys, no coercion, finite numbers."""
 
     model_config = ConfigDict(
         frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
@@ -44,18 +44,18 @@ ModelT = TypeVar("ModelT", bound=BaseModel)
 def parse_toml(text: str, source: str) -> dict[str, Any]:
     """Return the plain data of a TOML text.
 
-    Raises ConfigurationError naming `source`, line and column, or the keys of whole numbers beyond 64 bits,
-    which TOML does not promise and no field has use for.
+    Raises ConfigurationError with `source`, line and column, or with the keys of integers beyond 64 bits,
+    which TOML does not guarantee and no field needs.
     """
     try:
         data = tomllib.loads(text)
-    except ValueError as error:  # a TOMLDecodeError, or a whole number of thousands of digits
-        raise ConfigurationError([f"{source}: not valid TOML: {error}; mend the syntax there"]) from None
+    except ValueError as error:  # a TOMLDecodeError, or an integer of thousands of digits
+        raise ConfigurationError([f"{source}: not valid TOML: {error}; correct the syntax"]) from None
     except RecursionError:
-        told = f"{source}: not valid TOML: brackets nested hundreds deep; mend the syntax there"
-        raise ConfigurationError([told]) from None
+        problem = f"{source}: not valid TOML: brackets nested hundreds deep; correct the syntax"
+        raise ConfigurationError([problem]) from None
     too_large = [
-        f"{source}: {path}: a whole number beyond 64 bits, write a smaller one"
+        f"{source}: {path}: a whole number beyond 64 bits; write a smaller one"
         for path, value in _leaves(data)
         if isinstance(value, int) and not -(1 << 63) <= value < 1 << 63
     ]
@@ -65,7 +65,7 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:
-    """(key path, value) of everything in plain data that is neither a table nor a list."""
+    """Yield (key path, value) of everything in plain data that is neither a table nor a list."""
     if isinstance(value, dict):
         for key, item in value.items():
             yield from _leaves(item, f"{path}.{key}" if path else key)
@@ -91,12 +91,12 @@ def validate(data: dict[str, Any], source: str, model: type[ModelT]) -> ModelT:
 
 
 def read_strict(text: str, source: str, model: type[ModelT]) -> ModelT:
-    """Return the `model` that the TOML `text` holds. Raises ConfigurationError with every problem found."""
+    """Return the `model` in the TOML `text`. Raises ConfigurationError with every problem."""
     return validate(parse_toml(text, source), source, model)
 
 
 def _tuples(value: Any) -> Any:
-    """Return the same data with tuples for lists, so that strict validation keeps everything immutable."""
+    """Return the data with tuples instead of lists, so that the validated model is immutable."""
     if isinstance(value, list):
         return tuple(_tuples(item) for item in value)
     if isinstance(value, dict):
@@ -105,21 +105,21 @@ def _tuples(value: Any) -> Any:
 
 
 def _field_names(model: type[BaseModel]) -> Iterator[str]:
-    """Every key that a file of this model may hold, nested tables included."""
+    """Yield every key that a file of this model may contain, including nested tables."""
     schema = model.model_json_schema()
     for part in (schema, *schema.get("$defs", {}).values()):
         yield from part.get("properties", {})
 
 
 def key_path(location: Sequence[int | str], data: Any) -> str:
-    """`rotors[1].spin` for ("rotors", 1, "spin"); tags that pydantic adds for unions are left out."""
+    """Return `rotors[1].spin` for ("rotors", 1, "spin"), without the tags that pydantic adds for unions."""
     path = ""
     for position, item in enumerate(location):
         if isinstance(item, int):
             path += f"[{item}]"
             data = data[item] if isinstance(data, list | tuple) and item < len(data) else None
             continue
-        if item == "[key]":  # pydantic's mark for a problem of the key itself
+        if item == "[key]":  # pydantic's marker for a problem with the key itself
             continue
         last = position == len(location) - 1
         if isinstance(data, dict) and item not in data and not last:
@@ -130,7 +130,7 @@ def key_path(location: Sequence[int | str], data: Any) -> str:
 
 
 def value_at(data: Any, location: Sequence[int | str]) -> Any:
-    """Return what stands at a place of plain data; None where nothing does."""
+    """Return the value at a location in plain data, or None if there is none."""
     for item in location:
         try:
             data = data[item]
@@ -140,7 +140,7 @@ def value_at(data: Any, location: Sequence[int | str]) -> Any:
 
 
 def number(value: Any) -> float | None:
-    """Return the value as a float; None where it is no number, or too large for one."""
+    """Return the value as a float, or None if it is not a number or too large for a float."""
     if isinstance(value, bool) or not isinstance(value, int | float):
         return None
     try:
@@ -163,45 +163,45 @@ _KINDS = {
 
 
 def _only_short_of_bad_entries(details: ErrorDetails) -> bool:
-    """Whether a list is called too short because pydantic counts only its good entries."""
-    wanted = details.get("ctx", {}).get("min_length", 0)
-    return details["type"] == "too_short" and len(details["input"]) >= wanted
+    """Return whether a list counts as too short only because pydantic does not count its invalid entries."""
+    minimum = details.get("ctx", {}).get("min_length", 0)
+    return details["type"] == "too_short" and len(details["input"]) >= minimum
 
 
 def _problem(details: ErrorDetails, data: dict[str, Any], known: Sequence[str]) -> str:
-    """One line, what is wrong and what to do, for one of pydantic's error records."""
+    """Return one line with problem and remedy for one of pydantic's error records."""
     kind, location, context = details["type"], details["loc"], details.get("ctx", {})
     path = key_path(location, data)
     name = str(location[-1]) if location else ""
-    got = _shown(details.get("input"))
+    given = _shown(details.get("input"))
     if kind == "missing":
-        return f"{path}: missing, add it"
+        return f"{path}: missing; add it"
     if kind == "extra_forbidden":
         near = difflib.get_close_matches(name, [key for key in known if key != name], n=1)
-        return f"{path}: unknown key, " + (f"did you mean {near[0]}?" if near else "remove it")
+        return f"{path}: unknown key; " + (f"did you mean {near[0]}?" if near else "remove it")
     if kind in _KINDS:
-        return f"{path}: {got} is not {_KINDS[kind]}, write {_KINDS[kind]}"
+        return f"{path}: {given} is not {_KINDS[kind]}; write {_KINDS[kind]}"
     if kind in ("greater_than", "greater_than_equal", "less_than", "less_than_equal"):
         words = {"greater_than": "above", "greater_than_equal": "at least", "less_than": "below"}
         word, bound = words.get(kind, "at most"), next(iter(context.values()))
-        return f"{path}: {got} is out of range, give a value {word} {bound:g}"
+        return f"{path}: {given} is out of range; give a value {word} {bound:g}"
     if kind in ("too_long", "too_short"):
-        wanted = context.get("max_length", context.get("min_length"))
+        count = context.get("max_length", context.get("min_length"))
         word = "at most" if kind == "too_long" else "at least"
-        return f"{path}: {context.get('actual_length')} entries, give {word} {wanted}"
+        return f"{path}: {context.get('actual_length')} entries; give {word} {count}"
     if kind in ("literal_error", "enum"):
-        return f"{path}: {got} is not possible, choose {context.get('expected')}"
+        return f"{path}: {given} is not possible; choose {context.get('expected')}"
     if kind in ("union_tag_not_found", "union_tag_invalid"):
         field = str(context.get("discriminator", "kind")).strip("'")
         expected = context.get("expected_tags")
-        return f"{path}.{field}: " + (f"unknown, choose {expected}" if expected else "missing, add it")
+        return f"{path}.{field}: " + (f"unknown; choose {expected}" if expected else "missing; add it")
     if kind == "string_pattern_mismatch":
-        return f"{path}: {got} is not a valid text here, it must match {context.get('pattern')}"
+        return f"{path}: {given} is not valid; it must match {context.get('pattern')}"
     message = details["msg"].removeprefix("Value error, ")
     return (f"{path}: " if path else "") + message
 
 
 def _shown(value: Any) -> str:
-    """Return the value as its user wrote it, shortened."""
+    """Return the value as the user wrote it, shortened."""
     text = repr(list(value)) if isinstance(value, tuple) else repr(value)
     return text if len(text) <= 60 else text[:57] + "..."

@@ -1,1 +1,1 @@
-"""The verbs of the command line, one module each; listed in `trimtab.host.cli`, imported only when run."""
+"""The verbs of the command line, one module for each. `trimtab.host.cli` lists and imports them."""

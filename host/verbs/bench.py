@@ -1,4 +1,4 @@
-"""`trimtab bench`: speed on this machine, beside named peers in the same run."""
+"""`trimtab bench`: speed on this machine, compared with other tools in the same run."""
 
 from __future__ import annotations
 
@@ -17,21 +17,20 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure how fast learning, planning and simulated sessions are on this machine, and how much closer
-    min-residual plans are flown; some minutes.
+    """Measure the speed of learning, planning and simulation, and the tracking error of plans.
 
-    JAX and diffrax compute the same gradient, rockit solves the same problem and minsnap-trajectories the
-    same spline in the same run where they are installed (`make bench` installs them): a minute more.
+    Takes some minutes. If they are installed (`make bench`), JAX and diffrax compute the same gradient,
+    rockit solves the same problem and minsnap-trajectories the same spline, which takes a minute more.
 
     Parameters
     ----------
     seed
-        Flights, first weights, courses and worlds are drawn from it.
+        Seed of flights, first weights, courses and worlds.
     quick
-        Plan and fly fewer courses, and set planning beside CasADi at 100 intervals: at most five minutes in
-        all.
+        Plan and fly fewer courses, and compare planning with CasADi at 100 intervals. Takes at most five
+        minutes in total.
     courses
-        Random courses that the success rate of planning is over: 40 without it, 10 with --quick.
+        Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
     """
     from trimtab.host.apps.bench import flown, learning, planning, session
     from trimtab.host.base.errors import UsageError
@@ -40,7 +39,7 @@ def command(
     from trimtab.host.workspace import open_workspace
 
     if seed < 0:
-        raise UsageError(f"--seed {seed} is negative, give 0 or more")
+        raise UsageError(f"--seed {seed} is negative; give 0 or more")
     size = planning.QUICK if quick else planning.Size()
     flights = flown.QUICK if quick else flown.Size()
     if courses is not None:
@@ -64,100 +63,102 @@ def command(
         *_learning_lines(learned),
         *_planning_lines(planned),
         *_flown_lines(compared),
-        f"simulated sessions run {factor:.1f} times as fast as the clock",
+        f"simulated sessions run {factor:.1f} times as fast as real time",
     )
-    session_found = {"realtime_factor": factor}
-    emit({"learning": learned, "planning": planned, "flown": compared, "session": session_found}, json)
+    session_result = {"realtime_factor": factor}
+    emit({"learning": learned, "planning": planned, "flown": compared, "session": session_result}, json)
 
 
-def _learning_lines(found: dict[str, Any]) -> list[str]:
-    """Return the figures of learning, for people."""
-    c = found["gradient_ms"]
+def _learning_lines(result: dict[str, Any]) -> list[str]:
+    """Return the figures of learning as lines of text."""
+    gradient_ms = result["gradient_ms"]
     lines = [
         "gradient of 10 segments of 49 steps, network 2 x 32, double precision, one core:",
-        f"  C over SIMD lanes        {'no compiler' if c is None else f'{c:8.2f} ms'}",
-        f"  CasADi virtual machine   {found['gradient_vm_ms']:8.2f} ms",
+        f"  C over SIMD lanes        {'no compiler' if gradient_ms is None else f'{gradient_ms:8.2f} ms'}",
+        f"  CasADi virtual machine   {result['gradient_vm_ms']:8.2f} ms",
     ]
-    for row in found["peers"] or ():
+    for row in result["peers"] or ():
         figures = f"{row['gradient_ms']:8.2f} ms, {row['over_ours']:.1f} times ours"
         lines.append(f"  {row['name']:<24} {figures}, compiled in {row['build_s']:.0f} s")
-    if found["peers"] is None:
+    if result["peers"] is None:
         lines.append("  JAX and diffrax are not installed: make bench, or pip install trimtab[bench]")
     return [
         *lines,
-        f"Adam, 100 epochs of 128 segments: {found['adam_100_s']:.1f} s, test RMSE "
-        f"{found['adam_test_rmse']:.4f} m/s^2",
-        f"condensed loss, L-BFGS: {found['condensed_s']:.1f} s, test RMSE {found['test_rmse']:.4f}, out of "
-        f"distribution {found['ood_rmse']:.4f} m/s^2",
+        f"Adam, 100 epochs of 128 segments: {result['adam_100_s']:.1f} s, test RMSE "
+        f"{result['adam_test_rmse']:.4f} m/s^2",
+        f"condensed loss, L-BFGS: {result['condensed_s']:.1f} s, test RMSE {result['test_rmse']:.4f}, out of "
+        f"distribution {result['ood_rmse']:.4f} m/s^2",
     ]
 
 
-def _planning_lines(found: dict[str, Any]) -> list[str]:
-    """Return the figures of planning, for people."""
+def _planning_lines(result: dict[str, Any]) -> list[str]:
+    """Return the figures of planning as lines of text."""
     lines = [
-        f"min-residual*, network 2 x 32, {found['nodes']} intervals, processor time, median of "
-        f"{found['planned']} of {found['courses']} courses:",
-        f"  solver, first round      {_seconds(found['min_residual_star_median_s'])}",
-        f"  whole plan               {_seconds(found['plan_median_s'])}",
-        f"  solver, total time free  {_seconds(found['free_time_s'])}, "
-        f"{found['free_time_planned']} of {found['free_time_courses']} courses",
+        f"min-residual*, network 2 x 32, {result['nodes']} intervals, processor time, median of "
+        f"{result['planned']} of {result['courses']} courses:",
+        f"  solver, first round      {_seconds(result['min_residual_star_median_s'])}",
+        f"  whole plan               {_seconds(result['plan_median_s'])}",
+        f"  solver, total time free  {_seconds(result['free_time_s'])}, "
+        f"{result['free_time_planned']} of {result['free_time_courses']} courses",
     ]
-    for row in found["scaling"]:
-        what = f"  {row['nodes']} intervals".ljust(26)
-        lines.append(f"{what} {_seconds(row['first_solve_s'])}, {row['planned']} of {row['courses']} courses")
-    naive, ratio = found["naive"], found["speedup_over_naive"]
+    for row in result["scaling"]:
+        label = f"  {row['nodes']} intervals".ljust(26)
+        lines.append(
+            f"{label} {_seconds(row['first_solve_s'])}, {row['planned']} of {row['courses']} courses"
+        )
+    naive, ratio = result["naive"], result["speedup_over_naive"]
     if ratio is not None:
         bound = "at least " if naive["at_least"] else ""
         lines.append(
             f"  CasADi's map and Ipopt   {_seconds(naive['seconds'])} for one course at {naive['nodes']} "
             f"intervals, built in {naive['build_s']:.1f} s: {bound}{ratio:.0f} times ours"
         )
-    lines += [_rockit_line(found["rockit"]), _snap_line(found["minsnap_trajectories"])]
-    if found["success_rate"] is not None:
-        lines.append(f"  planned: {found['success_rate']:.1%} of {found['success_courses']} random courses")
-    return [*lines, *(f"    {failure}" for failure in found["failures"])]
+    lines += [_rockit_line(result["rockit"]), _snap_line(result["minsnap_trajectories"])]
+    if result["success_rate"] is not None:
+        lines.append(f"  planned: {result['success_rate']:.1%} of {result['success_courses']} random courses")
+    return [*lines, *(f"    {failure}" for failure in result["failures"])]
 
 
-def _rockit_line(found: dict[str, Any] | None) -> str:
-    if found is None:
+def _rockit_line(result: dict[str, Any] | None) -> str:
+    if result is None:
         return "  rockit is not installed: make bench, or pip install trimtab[bench]"
-    what = (
-        f"  rockit                   {_seconds(found['seconds'])} for one course at {found['nodes']} "
-        f"intervals, built in {found['build_s']:.1f} s"
+    line = (
+        f"  rockit                   {_seconds(result['seconds'])} for one course at {result['nodes']} "
+        f"intervals, built in {result['build_s']:.1f} s"
     )
-    if found["ours_s"] is None:
-        return what
-    bound = "at least " if found["at_least"] else ""
-    return f"{what}: {bound}{found['seconds'] / found['ours_s']:.0f} times ours"
+    if result["ours_s"] is None:
+        return line
+    bound = "at least " if result["at_least"] else ""
+    return f"{line}: {bound}{result['seconds'] / result['ours_s']:.0f} times ours"
 
 
-def _snap_line(found: dict[str, Any] | None) -> str:
-    if found is None:
+def _snap_line(result: dict[str, Any] | None) -> str:
+    if result is None:
         return "  minsnap-trajectories is not installed: make bench, or pip install trimtab[bench]"
     return (
-        f"  minsnap-trajectories     {found['ms']:8.2f} ms for a spline of {found['waypoints']} waypoints: "
-        f"{found['ms'] / found['ours_ms']:.0f} times ours"
+        f"  minsnap-trajectories     {result['ms']:8.2f} ms for a spline of {result['waypoints']} waypoints: "
+        f"{result['ms'] / result['ours_ms']:.0f} times ours"
     )
 
 
-def _flown_lines(found: dict[str, Any]) -> list[str]:
-    """How much closer min-residual is flown, for people."""
-    worlds = "one sealed world" if found["worlds"] == 1 else f"{found['worlds']} sealed worlds"
+def _flown_lines(result: dict[str, Any]) -> list[str]:
+    """Return the comparison of flown plans as lines of text."""
+    worlds = "one sealed world" if result["worlds"] == 1 else f"{result['worlds']} sealed worlds"
     lines = [
-        f"{found['kind']} flown by the DFBC on {found['courses']} held-out courses in {worlds}, "
+        f"{result['kind']} flown by the DFBC on {result['courses']} held-out courses in {worlds}, "
         "median (95 % of bootstraps):"
     ]
-    for what, name in (
+    for label, name in (
         ("predicted residual over min-snap's", "residual_ratio"),
         ("mean error over min-snap's", "error_ratio"),
         ("mean error over min-control's", "error_ratio_min_control"),
     ):
-        if found[name] is None:
-            lines.append(f"  {what:<36} none")
+        if result[name] is None:
+            lines.append(f"  {label:<36} none")
             continue
-        low, high = found[f"{name}_ci95"]
-        lines.append(f"  {what:<36} {found[name]:.2f} ({low:.2f} to {high:.2f})")
-    return [*lines, *(f"    {failure}" for failure in found["failures"])]
+        low, high = result[f"{name}_ci95"]
+        lines.append(f"  {label:<36} {result[name]:.2f} ({low:.2f} to {high:.2f})")
+    return [*lines, *(f"    {failure}" for failure in result["failures"])]
 
 
 def _seconds(value: float | None) -> str:

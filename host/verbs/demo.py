@@ -1,4 +1,4 @@
-"""`trimtab demo`: one pass through the loop, with a report at the end."""
+"""`trimtab demo`: one complete cycle of plan, fly, trace and plan again, with a report."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ def command(
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Plan, fly, trace what is missing, plan again; one report at the end.
+    """Plan, fly, trace the missing effects and plan again, then write a report.
 
     Parameters
     ----------
@@ -33,7 +33,7 @@ def command(
     import time
 
     from trimtab.host.apps.demo import report
-    from trimtab.host.apps.demo.session import WORLD, DemoOrder, run_demo
+    from trimtab.host.apps.demo.session import WORLD, DemoRequest, run_demo
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.effects import load_effects
@@ -43,14 +43,14 @@ def command(
 
     begin_s = time.perf_counter()
     if seed < 0:
-        raise UsageError(f"--seed {seed} is negative, give 0 or more")
+        raise UsageError(f"--seed {seed} is negative; give 0 or more")
     space = open_workspace(workspace)
     airframe = space.vehicle(vehicle)
     folder = free_folder(space.root, output, force)
     outcome = run_demo(
-        DemoOrder(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
+        DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
         load_effects(space.root),
-        say=say,
+        on_message=say,
         manoeuvres=lambda: manoeuvres(space, airframe),
     )
     seconds = time.perf_counter() - begin_s
@@ -66,7 +66,7 @@ def command(
 
 
 def free_folder(root: Path, output: Path | None, force: bool) -> Path:
-    """Return a folder that is empty or yet to be made; with `force` any. Raises UsageError."""
+    """Return a folder that is empty or does not exist yet; with `force`, any. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
 
@@ -76,7 +76,7 @@ def free_folder(root: Path, output: Path | None, force: bool) -> Path:
             number += 1
             output = root / f"{FOLDER}-{number}"
     if output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: is a file, give a folder")
+        raise UsageError(f"{output}: is a file; give a folder")
     if output.is_dir() and any(output.iterdir()) and not force:
-        raise UsageError(f"{output}: holds files, choose another folder or add --force")
+        raise UsageError(f"{output}: is not empty; choose another folder or add --force")
     return artefacts.check_folder(output, (), force)

@@ -1,4 +1,4 @@
-"""`trimtab download`: what is on board of the vehicle at a port, byte by byte, into a file."""
+"""`trimtab download`: save a blob on board of a vehicle to a file."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ Name = Literal["reference", "feedforward", "staged-reference", "staged-feedforwa
 def command(
     name: Name, *, port: str, output: Output = None, force: Force = False, json: Json = False
 ) -> None:
-    """Read what is on board of a vehicle into a file.
+    """Download a reference or feed-forward from a vehicle to a file.
 
     Parameters
     ----------
     name
-        What to read: what is live, or staged and not committed yet.
+        Blob to download: a live one, or one that is staged and not committed yet.
     port
         Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
     output
-        File to write; NAME.ref or NAME.ff by default.
+        File to write. Default: NAME.ref or NAME.ff.
     """
     from pathlib import Path
 
@@ -34,5 +34,5 @@ def command(
     with Progress(f"downloading {name}") as bar:
         result = download_port(name, port, lambda phase: bar.advance(1.0, phase))
     write_atomic(target, result.data, force)
-    say(f"{name} {result.id}: {len(result.data)} bytes in {result.seconds:.2f} s, in {target}")
+    say(f"{name} {result.id}: {len(result.data)} bytes in {result.seconds:.2f} s, saved as {target}")
     emit({**result.to_json(), "file": str(target)}, json)

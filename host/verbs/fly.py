@@ -1,4 +1,4 @@
-"""`trimtab fly`: a simulated vehicle, or one at a port, flies a reference; the flight is logged."""
+"""`trimtab fly`: fly a reference, simulated or at a port, and log the flight."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, Veh
 if TYPE_CHECKING:
     from collections.abc import Callable
 
-    from trimtab.host.link.flight_order import FlightOrder
+    from trimtab.host.link.flight_request import FlightRequest
     from trimtab.host.link.summary import FlightResult
 
 CAMERA_DELAY_MS = 4.0
@@ -34,7 +34,7 @@ class FlyOptions:
     mocap
         Address at which the camera system's poses arrive, udp://HOST:PORT. Goes with --port.
     mocap_delay_ms
-        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
+        Minimum time from a camera's exposure to the arrival of its pose, as the manufacturer states it.
     world
         World to simulate, by name or path. Default: the empty world.
     plant
@@ -46,7 +46,7 @@ class FlyOptions:
     world_seed
         Seed of the simulated world. The log does not contain it.
     flight
-        Index of the flight. Two flights that differ in it alone share the world and nothing else.
+        Index of the flight. Flights with the same seeds and another index share the world, but not the noise.
     realtime
         Run the simulation at the speed of the wall clock.
     as_flashed
@@ -106,8 +106,8 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
     from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_port
 
     _check(options)
-    order = _order(reference, options)
-    try:  # around the bar, which takes stdout for its own while it is shown
+    request = _request(reference, options)
+    try:  # outside the progress bar, which holds stdout while it is shown
         with Progress(f"flying {reference.name}") as bar:
 
             def on_phase(phase: str) -> None:
@@ -116,11 +116,11 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
                     warn("landing; Ctrl-C again leaves the vehicle to its failsafe")
 
             if options.port is not None and options.mocap is not None:
-                result = fly_port(order, options.port, options.mocap, on_phase=on_phase)
+                result = fly_port(request, options.port, options.mocap, on_phase=on_phase)
             else:
-                result = _fly_simulated(order, options, on_phase)
+                result = _fly_simulated(request, options, on_phase)
     except (FlightEnded, FlightInterrupted) as ended:
-        with Interrupts():  # a key that is held down takes no answer away
+        with Interrupts():  # a key that is held down must not suppress the answer
             say(*ended.result.to_lines())
             emit(ended.result.to_json(), options.json)
         raise
@@ -134,21 +134,21 @@ def _check(options: FlyOptions) -> None:
 
     simulates = options.world or options.plant or options.plant_options or options.realtime
     if (options.port is None) != (options.mocap is None):
-        raise UsageError("--port and --mocap go together: poses reach the vehicle through this host only")
+        raise UsageError("give --port and --mocap together: poses reach the vehicle only through this host")
     if options.port is not None and (simulates or options.world_seed):
-        raise UsageError("--port flies what is there; leave out world, plant and --realtime")
+        raise UsageError("--port flies the vehicle at the port; leave out world, plant and --realtime")
     if min(options.seed, options.world_seed, options.flight) < 0:
-        raise UsageError("seeds and flight indices are not negative")
+        raise UsageError("a seed or flight index is negative; give 0 or more")
     if not 0.0 <= options.mocap_delay_ms <= 1000.0:
-        raise UsageError(f"--mocap-delay-ms {options.mocap_delay_ms:g} is no delay, give 0 to 1000")
+        raise UsageError(f"--mocap-delay-ms {options.mocap_delay_ms:g} is out of range; give 0 to 1000")
 
 
-def _order(reference: Path, options: FlyOptions) -> FlightOrder:
+def _request(reference: Path, options: FlyOptions) -> FlightRequest:
     """Read the files that the options name. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
-    from trimtab.host.link.flight_order import FlightOrder
+    from trimtab.host.link.flight_request import FlightRequest
     from trimtab.host.link.swap import swap_time_us
     from trimtab.host.workspace import open_workspace
 
@@ -158,13 +158,13 @@ def _order(reference: Path, options: FlyOptions) -> FlightOrder:
     following = None if options.then is None else read_reference(options.then)
     at = options.at
     if at is not None and following is None:
-        raise UsageError("--at goes with --then: it says when that reference takes over")
+        raise UsageError("--at needs --then: it is the time at which that reference takes over")
     if at is not None and not math.isfinite(1e6 * at):
-        raise UsageError(f"--at {at:g} is no time, give seconds of the first reference")
+        raise UsageError(f"--at {at:g} is not a time; give seconds of the first reference")
     at_us = None if at is None else round(1e6 * at)
     swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
     log = options.output or Path(f"{reference.stem}-{options.flight}.mcap")
-    return FlightOrder(
+    return FlightRequest(
         vehicle=vehicle,
         reference=blob,
         feedforward=feedforward,
@@ -183,7 +183,7 @@ def _order(reference: Path, options: FlyOptions) -> FlightOrder:
 
 
 def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
-    """Value by name of NAME=VALUE texts. Raises UsageError where one is not in the table or not allowed."""
+    """Return the values by name of NAME=VALUE texts. Raises UsageError for an unknown name or a bad value."""
     from trimtab.host.base.errors import UsageError
     from trimtab.protocol.parameters import BY_NAME
 
@@ -191,13 +191,13 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     for text in assignments:
         name, _, value = text.partition("=")
         if name not in BY_NAME:
-            raise UsageError(f"--parameter {text}: no parameter is called {name}, give NAME=VALUE")
+            raise UsageError(f"--parameter {text}: there is no parameter {name}; give NAME=VALUE")
         if not value:
-            raise UsageError(f"--parameter {text}: no value, give NAME=VALUE")
+            raise UsageError(f"--parameter {text}: no value; give NAME=VALUE")
         try:
             number = float(value)
         except ValueError:
-            raise UsageError(f"--parameter {text}: {value} is no number, give NAME=VALUE") from None
+            raise UsageError(f"--parameter {text}: {value} is not a number; give NAME=VALUE") from None
         try:
             values[name] = BY_NAME[name].check(number)
         except ValueError as error:
@@ -205,31 +205,33 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
     return values
 
 
-def _fly_simulated(order: FlightOrder, options: FlyOptions, on_phase: Callable[[str], None]) -> FlightResult:
+def _fly_simulated(
+    request: FlightRequest, options: FlyOptions, on_phase: Callable[[str], None]
+) -> FlightResult:
     """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log."""
     from contextlib import closing
 
     from trimtab.host.link.fly import fly_lockstep
     from trimtab.host.link.vehicle import vehicle_class
 
-    first = order.reference.nodes_ned()[0].state
+    first = request.reference.nodes_ned()[0].state
     simulated = vehicle_class().create(
-        order.vehicle,
+        request.vehicle,
         world=options.world,
         world_seed=options.world_seed,
         flight=options.flight,
         plant=options.plant,
         plant_options=options.plant_options,
         start_ned=(first[0], first[1], 0.0),
-        start_yaw=order.reference.yaw_nodes()[0].yaw,
+        start_yaw=request.reference.yaw_nodes()[0].yaw,
     )
-    before = _file_number(order.log_path)
+    before = _file_number(request.log_path)
     with closing(simulated):
         try:
-            return fly_lockstep(order, simulated, realtime=options.realtime, on_phase=on_phase)
+            return fly_lockstep(request, simulated, realtime=options.realtime, on_phase=on_phase)
         finally:
-            if _file_number(order.log_path) not in (None, before):
-                _write_truth(order.log_path, simulated.truth())
+            if _file_number(request.log_path) not in (None, before):
+                _write_truth(request.log_path, simulated.truth())
 
 
 def _file_number(path: Path) -> int | None:
@@ -238,7 +240,7 @@ def _file_number(path: Path) -> int | None:
 
 
 def _write_truth(log: Path, truth: dict[str, object]) -> None:
-    """Write the sealed truth beside the log, tied to it by its id. Only checks open it."""
+    """Write the sealed truth beside the log, with the log's id. Only checks open it."""
     import json
 
     from trimtab.host.base.artefacts import content_id, write_atomic
@@ -249,7 +251,7 @@ def _write_truth(log: Path, truth: dict[str, object]) -> None:
 
 
 def _provenance() -> dict[str, str]:
-    """Version, git state and command, without what two runs of the same flight may differ in."""
+    """Return version, git state and command, without options that do not change the flight."""
     import sys
 
     from trimtab.host.base import artefacts

@@ -1,4 +1,4 @@
-"""`trimtab import`: somebody else's flight log becomes one of ours."""
+"""`trimtab import`: convert a foreign flight log to a Trimtab log."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ def command(
     json: Json = False,
     force: Force = False,
 ) -> None:
-    """Turn somebody else's flight log into one of ours.
+    """Convert a foreign flight log to a Trimtab log.
 
     Parameters
     ----------
     profile
-        Format of the log.
+        Format of the foreign log.
     path
-        The log.
+        Foreign log to read.
     output
         Flight log to write.
     columns
-        For csv: TOML file that says which column is what.
+        TOML file that gives the meaning of each column. For csv.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -47,7 +47,7 @@ def command(
 
     artefacts.check_log(output, force)
     if (profile == "csv") != (columns is not None):
-        raise UsageError("--columns MAP.toml goes with the csv profile, and only with it")
+        raise UsageError("the csv profile needs --columns MAP.toml; other profiles do not take it")
     airframe = open_workspace(workspace).vehicle(vehicle)
     recording = read(profile, path, columns)
     provenance = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
@@ -73,7 +73,7 @@ def command(
 def _write(
     recording: Recording, vehicle: Vehicle, output: Path, profile: str, provenance: dict[str, str]
 ) -> dict[str, int]:
-    """Write the log, whole or not at all; return the number of messages of each topic."""
+    """Write the complete log or nothing. Return the number of messages of each topic."""
     from trimtab.host.imports.write import write
     from trimtab.host.log import partial_path
 

@@ -1,4 +1,4 @@
-"""`trimtab learn`: a network for what the model of a vehicle leaves out, from its flights."""
+"""`trimtab learn`: learn effects and a network for the residual of a vehicle's model, from its flights."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ class LearnOptions:
     output
         Model to write.
     model
-        Model whose effects stay. The verb learns what they leave.
+        Model to start from. Its effects are kept, and the remaining residual is learned.
     hidden
         Widths of the hidden layers, at most three of 32.
     network
@@ -53,7 +53,8 @@ class LearnOptions:
         Greatest number of passes over the segments (paper, 120) or of iterations of each of two passes
         (condensed, 300).
     any_heading
-        Use every flight in any heading. Turn it off if the world has a direction, for example wind.
+        Also use every flight rotated to other headings. Turn it off if the world has a direction, such as
+        wind.
     as_asked
         Write the model that the options describe, even if a smaller one or none predicts whole flights
         better.
@@ -83,7 +84,7 @@ DEFAULTS = LearnOptions()
 
 
 def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
-    """Learn what a vehicle's model lacks, from flight logs. Keep what predicts whole flights best.
+    """Learn effects and a residual network from flight logs. Keep what predicts whole flights best.
 
     Parameters
     ----------
@@ -136,7 +137,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     emit({**answer, "seconds": round(monotonic() - began, 3)}, options.json)
     if not written:
         raise GateMissed(
-            f"{options.output}: not written, whole flights are predicted no better than without; "
+            f"{options.output}: not written, the learned model predicts whole flights no better; "
             "give more flights, other --effects or --epochs, or --as-asked"
         )
 
@@ -149,17 +150,20 @@ def _check(logs: Sequence[Path], options: LearnOptions) -> tuple[Settings | Cond
 
     paper = options.method == "paper"
     if not logs:
-        raise UsageError("no log given, name one or more flight logs")
+        raise UsageError("no log given; name one or more flight logs")
     if options.hold_out is not None and not options.hold_out:
-        raise UsageError("--hold-out names no log, give one or more or leave it out")
+        raise UsageError("--hold-out names no log; give one or more or leave it out")
     beyond_paper = options.effects or options.frame == "body" or not options.network or options.log_latency
     if paper and beyond_paper:
-        raise UsageError("--method paper learns a network in the world's frame: leave the others out")
+        raise UsageError(
+            "--method paper learns only a network in the world frame; leave out --effects, --frame body, "
+            "--no-network and --log-latency"
+        )
     settings, rounds = _settings(options)
     if options.seed < 0:
         raise UsageError(f"--seed {options.seed}: give 0 or more")
     if not options.output.name.endswith(SUFFIX):
-        raise UsageError(f"{options.output}: a model's name ends in {SUFFIX}")
+        raise UsageError(f"{options.output}: give the model a name that ends in {SUFFIX}")
     artefacts.check_output(options.output, options.force)
     return settings, rounds
 
@@ -199,18 +203,18 @@ def _forms(options: LearnOptions, library: Mapping[str, Effect], base: Model | N
     forms = tuple(name for name in (DEFAULT_FORMS if by_default else options.effects or ()) if name != "none")
     for name in forms:
         if name not in library:
-            raise UsageError(f"--effects {name}: no such effect; there are {', '.join(library)}")
+            raise UsageError(f"--effects {name}: no such effect; available are {', '.join(library)}")
         if base is not None and name in base.effects:
-            raise UsageError(f"--effects {name}: {options.model} has it already; leave one of them out")
+            raise UsageError(f"--effects {name}: already in {options.model}; leave one of them out")
     if not (forms or options.network):
-        raise UsageError("--no-network and no --effects: there is nothing to learn")
+        raise UsageError("nothing to learn; leave out --no-network or give --effects")
     return forms
 
 
 def _answer(
     learned: Learned, output: Path | None, named: Mapping[str, Mapping[str, float]], log_latency: bool
 ) -> dict[str, Any]:
-    """Return the JSON object, without the time. output: None if nothing was written."""
+    """Return the JSON object, without the time. `output` is None if nothing was written."""
     return {
         "model": None if output is None else str(output),
         "model_id": None if output is None else learned.model.id,
@@ -242,16 +246,16 @@ def _print(
 
 
 def _numbers(name: str, values: Mapping[str, float]) -> str:
-    """Return an effect's parameters, in words."""
+    """Return an effect's parameters as text."""
     return f"{name}: " + ", ".join(f"{key} {value:.4g}" for key, value in values.items())
 
 
 def _line(name: str, judged: Judged | None) -> str:
-    """Return the position error of whole flights before and after, in words."""
+    """Return the position error of whole flights before and after as text."""
     if judged is None:
-        return f"{name}: nothing; give flights of three references or more, or --hold-out"
+        return f"{name}: no flights; give flights of three references or more, or --hold-out"
     before, after = judged.base.position_rmse_m, judged.learned.position_rmse_m
     count = len(judged.flights)
-    beyond = f"; {100.0 * judged.outside:.0f} % beyond the region learned in" if judged.outside else ""
-    errors = f"{1e3 * before:.1f} mm off before, {1e3 * after:.1f} mm after"
-    return f"{name}: {count} flights predicted {errors}{beyond}"
+    beyond = f"; {100.0 * judged.outside:.0f} % outside the trained region" if judged.outside else ""
+    errors = f"{1e3 * before:.1f} mm before, {1e3 * after:.1f} mm after"
+    return f"{name}: position error of {count} predicted flights {errors}{beyond}"

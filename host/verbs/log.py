@@ -1,4 +1,4 @@
-"""`trimtab log`: looks into a flight log, makes a readable one of a damaged one, or tables of it."""
+"""`trimtab log`: describe, recover or export a flight log."""
 
 from __future__ import annotations
 
@@ -8,36 +8,36 @@ from cyclopts import App
 
 from trimtab.host.verbs.options import Force, Json, Output
 
-command = App(name="log", help="Look into a flight log, recover or export it.")
+command = App(name="log", help="Describe, recover or export a flight log.")
 
 
 @command.command
 def info(log: Path, *, json: Json = False) -> None:
-    """Say what a log holds.
+    """Describe a log.
 
     Parameters
     ----------
     log
-        A flight log.
+        Flight log to read.
     """
     from trimtab.host.base.output import emit, say
     from trimtab.host.log import describe, to_lines
 
-    told = describe(log)
-    say(*to_lines(told))
-    emit(told, json)
+    description = describe(log)
+    say(*to_lines(description))
+    emit(description, json)
 
 
 @command.command
 def recover(log: Path, *, output: Output = None, force: Force = False, json: Json = False) -> None:
-    """Make a readable log of one whose writer was killed or whose file was cut.
+    """Recover a log whose writer was killed or whose file was cut.
 
     Parameters
     ----------
     log
-        The damaged log, or the name it would have had.
+        The damaged log, or the name that the finished log would have had.
     output
-        Flight log to write; LOG.recovered.mcap by default.
+        Flight log to write. Default: LOG.recovered.mcap.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import emit, say
@@ -45,24 +45,25 @@ def recover(log: Path, *, output: Output = None, force: Force = False, json: Jso
     from trimtab.host.log.recover import default_output
 
     target = artefacts.check_output(output or default_output(log), force)
-    found = recover_log(log, target)
-    if found.output is None:
-        say(f"{found.source} is whole, nothing to recover")
+    recovery = recover_log(log, target)
+    if recovery.output is None:
+        say(f"{recovery.source} is undamaged, nothing to recover")
     else:
-        say(f"{found.output}: {found.messages} messages, {found.duration_s:.2f} s ({found.damage})")
-    emit(found.to_json(), json)
+        messages = f"{recovery.messages} messages, {recovery.duration_s:.2f} s"
+        say(f"{recovery.output}: {messages} ({recovery.damage})")
+    emit(recovery.to_json(), json)
 
 
 @command.command
 def export(log: Path, *, output: Output = None, force: Force = False, json: Json = False) -> None:
-    """Write a log as tables, one CSV file a topic.
+    """Export a log as tables, one CSV file for each topic.
 
     Parameters
     ----------
     log
-        A flight log.
+        Flight log to read.
     output
-        Folder for the tables; LOG.csv by default.
+        Folder for the tables. Default: LOG.csv.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import emit, say
@@ -71,7 +72,7 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
     folder = artefacts.check_folder(output or log.with_suffix(".csv"), TABLES, force)
     tables = csv_tables(log)
     folder.mkdir(exist_ok=True)
-    for name in TABLES:  # of another log, where forced
+    for name in TABLES:  # with --force, these may belong to another log
         (folder / name).unlink(missing_ok=True)
     for name, (rows, text) in tables.items():
         artefacts.write_atomic(folder / name, text)

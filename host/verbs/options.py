@@ -14,14 +14,14 @@ Json = Annotated[
 Force = Annotated[bool, Parameter(name="--force", negative="", help="Overwrite the output file.")]
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
-"""Each verb says in its docstring what it writes, and under which name without this."""
+"""The docstring of each verb describes the output and its default."""
 
 VehicleName = Annotated[str, Parameter(name="--vehicle", help="Vehicle file, by name or path.")]
 
 WorkspaceFolder = Annotated[
     Path | None,
     Parameter(
-        name="--workspace", help="Folder with vehicles/, routes/ and effects/; the current one by default."
+        name="--workspace", help="Folder with vehicles/, routes/ and effects/. Default: the current folder."
     ),
 ]
 

@@ -1,4 +1,4 @@
-"""`trimtab plan`: a checked reference for a route."""
+"""`trimtab plan`: plan a reference for a route and check it."""
 
 from __future__ import annotations
 
@@ -29,10 +29,10 @@ class PlanOptions:
     Attributes
     ----------
     model
-        Model of what the nominal vehicle lacks, a .model.toml file.
+        Model of the residual of the nominal vehicle, a .model.toml file.
     kind
         min-snap, min-control or min-residual. A star behind the latter two (min-residual*) makes the model
-        part of the dynamics. min-control-r: min-control, then its path tracked with the model in the
+        part of the dynamics. min-control-r plans min-control, then tracks its path with the model in the
         dynamics. Default: min-residual if the model predicts a residual, else min-snap.
     nodes
         Approximate number of shooting intervals, 20 to 1600. Default: one every 70 ms.
@@ -83,9 +83,9 @@ class PlanOptions:
 
 @dataclass(frozen=True, kw_only=True)
 class PlanTask:
-    """What the options name, read from its files.
+    """Content of the files that the options name.
 
-    planner_options: further arguments of `host.plan.plan`. provenance: of everything that the verb writes.
+    `planner_options` are further arguments of `host.plan.plan`. `provenance` goes into every written file.
     """
 
     route: Route
@@ -100,18 +100,18 @@ DEFAULTS = PlanOptions()
 
 
 def command(route: str, *, options: PlanOptions = DEFAULTS) -> None:
-    """Make a checked reference for a route.
+    """Plan a reference for a route and check it.
 
     Parameters
     ----------
     route
-        Route file, by name or path, at most 500 s long. NAME:SEED draws a random route anew.
+        Route file, by name or path, at most 500 s long. NAME:SEED draws a random route with another seed.
     """
     from trimtab.host.base.errors import UsageError
     from trimtab.host.verbs import plan_pareto
 
     if options.pareto and (options.model is None or options.stretch):
-        raise UsageError("--pareto needs --model, and goes without --stretch")
+        raise UsageError("--pareto needs --model, and does not take --stretch")
     plan_pareto.check_options(options)
     if options.report is not None:
         _check_report(options.report, options.force)
@@ -132,11 +132,11 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
     from trimtab.host.route import route_file
     from trimtab.host.workspace import open_workspace
 
-    place = open_workspace(options.workspace)
-    vehicle = place.vehicle(options.vehicle)
-    target = place.route(route, vehicle)
+    space = open_workspace(options.workspace)
+    vehicle = space.vehicle(options.vehicle)
+    target = space.route(route, vehicle)
     model = None if options.model is None else read_model(options.model, vehicle_id=vehicle.id)
-    effects = load_effects(place.root)
+    effects = load_effects(space.root)
     try:
         residual = ResidualModel() if model is None else ResidualModel.of(model, effects)
     except ValueError as error:
@@ -154,7 +154,7 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
             "headroom": None if options.headroom is None else _headroom(*options.headroom),
             "total_time_s": options.time_s,
             "nodes": options.nodes,
-            "source": route_file(route, place.root),
+            "source": route_file(route, space.root),
         },
         provenance=artefacts.provenance(parents=parents),
     )
@@ -202,12 +202,12 @@ def _plan(task: PlanTask, options: PlanOptions) -> None:
 
 
 def _check_report(path: Path, force: bool) -> None:
-    """Raise UsageError where no page may be written; call it before planning."""
+    """Raise UsageError if the report cannot be written. Call this before planning."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
 
     if path.suffix != REPORT_SUFFIX:
-        raise UsageError(f"{path}: a report's name ends in {REPORT_SUFFIX}")
+        raise UsageError(f"{path}: give the report a name that ends in {REPORT_SUFFIX}")
     artefacts.check_output(path, force)
 
 
@@ -222,10 +222,10 @@ def _headroom(low: float, high: float) -> LimitsOverride:
 
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
-    """Return the plan for people."""
+    """Return the plan as lines of text."""
     first = (
         f"{target}: {plan.label}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
-        f"{plan.mean_speed_m_s:.2f} m/s in the mean, {len(plan.reference.nodes)} nodes"
+        f"{plan.mean_speed_m_s:.2f} m/s mean speed, {len(plan.reference.nodes)} nodes"
     )
     if plan.stretch > 1.0:
         first += f", stretched {plan.stretch:.3f} times"
@@ -239,9 +239,11 @@ def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
         lines.append(f"  predicted residual {plan.residual_rms_m_s2:.3f} m/s^2 RMS")
     if plan.outside_region:
         share = 100.0 * plan.outside_region
-        lines.append(f"  {share:.0f} % of it is beyond the region that the model's data covers")
+        lines.append(f"  {share:.0f} % of the plan is outside the model's trained region")
     if plan.reference.free_ends:
-        lines.append("  it moves at its ends: the vehicle keeps it, but starts only one at rest at both")
+        lines.append(
+            "  it moves at an end: the vehicle stores it, but starts only references at rest at both ends"
+        )
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())
     lines.append(f"  margins: {margins}")
     if report is not None:

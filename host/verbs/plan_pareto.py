@@ -1,4 +1,4 @@
-"""`trimtab plan --pareto`: a route planned with scaled weights, and flown where a world is named."""
+"""`trimtab plan --pareto`: plan a route with scaled weights, and fly the plans in a world."""
 
 from __future__ import annotations
 
@@ -17,21 +17,21 @@ _LEFT_OUT = ("--json", "--force")
 
 
 def check_options(options: PlanOptions) -> None:
-    """Refuse options of a flown comparison that do not go together. Raises UsageError."""
+    """Check that the options of a comparison go together. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
 
     if options.world is not None and not options.pareto:
-        raise UsageError("--world goes with --pareto: `trimtab fly` flies a single reference")
+        raise UsageError("--world needs --pareto; fly a single reference with `trimtab fly`")
     if options.world is None and options.world_seed:
-        raise UsageError("--world-seed goes with --world")
+        raise UsageError("--world-seed needs --world")
     if options.world_seed < 0:
-        raise UsageError(f"--world-seed {options.world_seed} is negative, give 0 or more")
+        raise UsageError(f"--world-seed {options.world_seed} is negative; give 0 or more")
     if options.pareto and options.world is None and options.output is not None:
-        raise UsageError("--pareto goes without --output where no --world is named: it writes no reference")
+        raise UsageError("--pareto without --world does not take --output: it writes no reference")
 
 
 def trade(task: PlanTask, options: PlanOptions) -> None:
-    """Plan with each weight, fly the plans in the world that is named, and print the comparison.
+    """Plan with each weight, fly the plans if a world is given, and print the comparison.
 
     Raises Refused if no plan was found, FlightFailed if none was flown to its end.
     """
@@ -75,16 +75,16 @@ def trade(task: PlanTask, options: PlanOptions) -> None:
     answer = {"points": [point.to_json() for point in points], "folder": folder, "report": options.report}
     emit(answer, options.json)
     if all(point.plan is None for point in points):
-        raise Refused(f"{task.route.name}: none of the plans was found, give it more time or headroom")
+        raise Refused(f"{task.route.name}: no plan was found; give the route more time or headroom")
     if fly is not None and all(point.error_mean_m is None for point in points):
         raise FlightFailed(f"{task.route.name}: none of the plans was flown to its end")
 
 
 class _Flights:
-    """Flies points, all as the same flight of the same world: only the plan differs."""
+    """Simulated flights of the points. All have the same world and flight index; only the plan differs."""
 
     def __init__(self, task: PlanTask, options: PlanOptions, world: str) -> None:
-        """Raise ConfigurationError if there is no such world, UsageError for a folder that is taken."""
+        """Check the world (ConfigurationError if it is unknown) and the folder (UsageError)."""
         import sys
 
         from trimtab.host.apps.demo.flights import Airfield
@@ -125,7 +125,7 @@ class _Flights:
 
 
 def _lines(points: Sequence[Point]) -> list[str]:
-    """Return the trade for people: a table, then why plans or flights are missing."""
+    """Return the comparison as lines of text: a table, then why plans or flights are missing."""
     from trimtab.host.plan.pareto import tabulate
 
     units, cells = tabulate(points)

@@ -1,4 +1,4 @@
-"""`trimtab poses`: poses reach the vehicle while somebody else's ground station flies it."""
+"""`trimtab poses`: forward poses to a vehicle that another ground station flies."""
 
 from __future__ import annotations
 
@@ -12,18 +12,18 @@ if TYPE_CHECKING:
 
 
 def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, json: Json = False) -> None:
-    """Forward a camera system's poses to a vehicle, stamped with its clock, until interrupted.
+    """Forward a camera system's poses to a vehicle, with stamps on its clock, until interrupted.
 
-    It commands nothing: MAVSDK, MAVProxy or another ground station flies, through the same UDP port.
+    This verb sends no commands. MAVSDK, MAVProxy or another ground station flies through the same UDP port.
 
     Parameters
     ----------
     port
-        Port of the vehicle that others may share: udp:HOST:PORT of `trimtab sitl` or of a MAVLink router.
+        Port of the vehicle that others can share: udp:HOST:PORT of `trimtab sitl` or of a MAVLink router.
     mocap
-        Where the camera system's poses arrive, udp://HOST:PORT.
+        Address at which the camera system's poses arrive, udp://HOST:PORT.
     mocap_delay_ms
-        Least time from a camera's exposure to the arrival of its pose, as the maker states it.
+        Minimum time from a camera's exposure to the arrival of its pose, as the manufacturer states it.
     """
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
@@ -31,12 +31,12 @@ def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, j
     from trimtab.host.link.poses import forward_port
 
     if not 0.0 <= mocap_delay_ms <= 1000.0:
-        raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is no delay, give 0 to 1000")
+        raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is out of range; give 0 to 1000")
     with Progress("forwarding poses") as bar:
 
         def look(session: Session) -> None:
-            asked = "" if session.poses else "; do the cameras send to this address?"
-            bar.advance(1.0, f"{session.forwarded} so far{asked}")
+            hint = "" if session.poses else "; do the cameras send to this address?"
+            bar.advance(1.0, f"{session.forwarded} so far{hint}")
 
         delay_us = round(1000 * mocap_delay_ms)
         result = forward_port(

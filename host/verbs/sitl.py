@@ -1,4 +1,4 @@
-"""`trimtab sitl`: a simulated vehicle and its camera system, played in real time at a port."""
+"""`trimtab sitl`: simulate a vehicle and its camera system in real time at a port."""
 
 from __future__ import annotations
 
@@ -41,8 +41,8 @@ class SitlOptions:
     start
         Position at which the vehicle stands, north and east in m.
     memory
-        File of the vehicle's memory: live blobs, uploads under way, parameters. Made if missing. Without it,
-        the vehicle forgets everything when the run ends.
+        File for the vehicle's memory: live blobs, unfinished uploads, parameters. Made if missing. Without
+        it, the memory is lost when the run ends.
     truth
         File for the world's truth. Only checks should open it.
     """
@@ -66,7 +66,7 @@ DEFAULTS = SitlOptions()
 
 
 def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
-    """Play a simulated vehicle and its camera system at a port, until interrupted.
+    """Simulate a vehicle and its camera system at a port, until interrupted.
 
     Parameters
     ----------
@@ -102,7 +102,7 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
         with closing(simulated):
             statistics = simulated.serve(port=port, stop=stop, mocap=options.mocap, ready=on_ready)
     simulated_s = statistics.simulated_us * 1e-6
-    say(f"{simulated_s:.1f} s simulated, late {statistics.overruns} times")
+    say(f"{simulated_s:.1f} s simulated, {statistics.overruns} times behind real time")
     answer = {
         "simulated_s": simulated_s,
         "overruns": statistics.overruns,
@@ -119,16 +119,16 @@ def _check(options: SitlOptions) -> Vehicle:
 
     start = options.start
     if min(options.world_seed, options.flight) < 0:
-        raise UsageError("seeds and flight indices are not negative")
+        raise UsageError("a seed or flight index is negative; give 0 or more")
     if not all(map(math.isfinite, start)):
-        raise UsageError(f"--start {start[0]:g} {start[1]:g} is no place, give two numbers in m")
+        raise UsageError(f"--start {start[0]:g} {start[1]:g} is not a position; give two numbers in m")
     vehicle = open_workspace(options.workspace).vehicle(options.vehicle)
     fence = vehicle.limits.geofence_m
-    for axis, position, (least, most) in zip(("north", "east"), start, fence, strict=False):
-        if not least <= position <= most:
+    for axis, position, (low, high) in zip(("north", "east"), start, fence, strict=False):
+        if not low <= position <= high:
             raise UsageError(
                 f"--start {start[0]:g} {start[1]:g}: {axis} {position:g} m is outside the fence of "
-                f"{vehicle.name}, give {least:g} to {most:g}"
+                f"{vehicle.name}; give {low:g} to {high:g}"
             )
     if options.truth is not None:
         artefacts.check_output(options.truth, options.force)
@@ -137,7 +137,7 @@ def _check(options: SitlOptions) -> Vehicle:
 
 @contextmanager
 def _stop_on_signal() -> Iterator[Callable[[], bool]]:
-    """Return whether SIGINT or SIGTERM has arrived: a server ends that way."""
+    """Yield a function that returns whether SIGINT or SIGTERM has arrived, the normal end of a server."""
     signals: list[int] = []
 
     def note(number: int, frame: FrameType | None) -> None:

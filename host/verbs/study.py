@@ -1,4 +1,4 @@
-"""`trimtab study`: a study of many worlds or of the paper's own set-ups."""
+"""`trimtab study`: run a study over many worlds or over the paper's set-ups."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ class StudyOptions:
     quick
         Run a small study to check that everything works. For link, paper-learning and paper-planning.
     baselines
-        Judge other methods on the same logs too. For blind.
+        Also score other methods on the same logs. For blind.
     real
-        TOML file with groups of recorded flights. They are traced beside the worlds, with the error on
-        held-out flights. For blind.
+        TOML file with groups of recorded flights. They are also traced, and the error is measured on held-out
+        flights. For blind.
     output
         Folder for state and report. Default: study-NAME-SEED in the workspace.
     """
@@ -60,8 +60,9 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     Parameters
     ----------
     name
-        Study to run: blind (tracing in sealed worlds), calibrate (measured rules of tracing), link (uploads
-        over lossy air, interrupted uploads, fuzz), paper-learning, paper-planning (the paper's sections).
+        Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), link (uploads over
+        a lossy radio link, interrupted uploads, fuzzing), paper-learning, paper-planning (sections of the
+        paper).
     """
     import os
 
@@ -74,7 +75,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
 
     study = find_study(name)
     if options.seed < 0:
-        raise UsageError(f"--seed {options.seed} is negative, give 0 or more")
+        raise UsageError(f"--seed {options.seed} is negative; give 0 or more")
     if options.jobs is not None and options.jobs < 1:
         raise UsageError(f"--jobs {options.jobs}: give 1 or more")
     study_options = options_of(
@@ -99,7 +100,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             seed=options.seed,
             vehicle=str(file.absolute()) if file.is_file() else options.vehicle,
             jobs=options.jobs or len(os.sched_getaffinity(0)),
-            report=lambda done, total, detail: progress.update(done, total=total, detail=detail),
+            on_progress=lambda done, total, detail: progress.update(done, total=total, detail=detail),
             **study_options,
         )
     answer = _write(folder, outcome, artefacts.provenance(seed=options.seed))

@@ -75,24 +75,24 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     from trimtab.host.workspace import open_workspace
 
     if not logs:
-        raise UsageError("no log given, name one or more flight logs")
+        raise UsageError("no log given; name one or more flight logs")
     if options.hold_out is not None and not options.hold_out:
-        raise UsageError("--hold-out names no log, give one or more or leave it out")
+        raise UsageError("--hold-out names no log; give one or more or leave it out")
     space = open_workspace(options.workspace)
-    wanted = None if options.vehicle is None else space.vehicle(options.vehicle)
+    vehicle = None if options.vehicle is None else space.vehicle(options.vehicle)
     if options.output is not None:
         artefacts.check_folder(
             options.output, (MODEL_NAME, REPORT_NAME, JSON_NAME, NETWORK_NAME), options.force
         )
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
-    airframe = wanted or flights[0].vehicle
+    airframe = vehicle or flights[0].vehicle
     with Progress("tracing") as progress:
         result = run(
             flights,
             held_out,
             load_effects(space.root),
-            vehicle=wanted,
+            vehicle=vehicle,
             manoeuvres=lambda: manoeuvres(space, airframe),
             provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
             network=options.network,
@@ -137,7 +137,7 @@ def _write(
 
 
 def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
-    """Return the shipped routes and the workspace's own that this vehicle can fly."""
+    """Return the routes, shipped or in the workspace, that this vehicle can fly."""
     from trimtab.host.route import list_routes
     from trimtab.host.trace.next_flight.manoeuvres import manoeuvres as flyable
     from trimtab.host.vehicle import ConfigurationError

@@ -1,4 +1,4 @@
-"""`trimtab upload`: a blob goes to the vehicle at a port, is checked on board and made live."""
+"""`trimtab upload`: send a blob to a vehicle, which checks it and makes it live."""
 
 from __future__ import annotations
 
@@ -21,11 +21,11 @@ def command(
     Parameters
     ----------
     blob
-        A .ref or .ff file; the word `neutral` is a feed-forward that changes nothing, to take off another.
+        A .ref or .ff file, or the word `neutral` for a feed-forward without effect, which replaces another.
     port
         Serial port of the vehicle: a device, tcp:HOST:PORT or udp:HOST:PORT.
     compare
-        Read back what is live afterwards and compare it byte by byte.
+        Read the live blob back and compare it byte by byte.
     """
     from pathlib import Path
 
@@ -34,11 +34,11 @@ def command(
     from trimtab.host.link.blob_files import read_blob
     from trimtab.host.link.upload import upload_port
 
-    found = None if blob == "neutral" else read_blob(blob)
+    content = None if blob == "neutral" else read_blob(blob)
     with Progress(f"uploading {Path(blob).name}") as bar:
-        result = upload_port(found, port, lambda phase: bar.advance(1.0, phase), compare=compare)
+        result = upload_port(content, port, lambda phase: bar.advance(1.0, phase), compare=compare)
     say(
         f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "
-        f"{result.frames_repeated} retransmitted" + (", read back alike" if result.read_back else "")
+        f"{result.frames_repeated} retransmitted" + (", verified by reading back" if result.read_back else "")
     )
     emit(result.to_json(), json)

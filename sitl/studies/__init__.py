@@ -1,5 +1,5 @@
 """Studies over many sealed worlds. The command line finds them in the entry-point group `trimtab.studies`.
 
-They run the host as anybody does, through its command line; what a world holds is opened by `scoring` alone,
-and only when the verdict on it is a file.
+They run the host through its command line. Only `scoring` opens the truth of a world, and only after the
+verdict has been written.
 """

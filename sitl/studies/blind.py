@@ -1,7 +1,7 @@
 """The blind study: draw worlds, fly them, seal their truths, trace the logs, score once.
 
-Every world has a folder of its own with a file for each stage that is done, so a run that was killed goes on
-where it was. One process, this one, writes the ledger; the work is done by others.
+Every world has its own folder with a file for each completed stage, so an interrupted study resumes. This
+process writes the ledger; worker processes do the rest.
 """
 
 from __future__ import annotations
@@ -9,14 +9,14 @@ from __future__ import annotations
 import multiprocessing
 import os
 import threading
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.pieces import alone_in, claim
+from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import Ledger, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
@@ -38,8 +38,6 @@ from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme
 from trimtab.sitl.studies.worlds import PlannedWorld, plan_worlds
 
 LEDGER = "ledger.json"
-Report = Callable[[float, float, str], None]
-"""Called with what is done, what there is to do, and a word on the last thing done."""
 
 _FLOWN, _JUDGED = 1.0, 2.0
 """Shares of a world's work."""
@@ -47,7 +45,7 @@ _FLOWN, _JUDGED = 1.0, 2.0
 
 @dataclass(frozen=True, kw_only=True)
 class Task:
-    """What one worker does with one world."""
+    """The work on one world."""
 
     world: PlannedWorld
     folder: Path
@@ -58,7 +56,7 @@ class Task:
     with_baselines: bool
 
 
-def run(  # noqa: PLR0913 (one keyword for each choice)
+def run(  # noqa: PLR0913 (one keyword for each option)
     *,
     folder: Path,
     seed: int,
@@ -68,17 +66,32 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     with_baselines: bool = False,
     real: Path | None = None,
     programme: Programme = BLIND,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the blind study, or resume it; return its outcome as plain data.
 
-    The outcome has `answer` (the machine's object), `lines` (for people), `table`, `thin`, `real`,
+    The outcome has `answer` (the JSON object), `lines` (text for the terminal), `table`, `thin`, `real`,
     `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong` and `scores`.
 
-    folder: state and results; an existing study continues. real: file with groups of recorded flights to
-    trace beside the worlds. programme: flights in every world. jobs: number of processes. Raises StudyError
-    if the folder belongs to another study or is in use, if a route cannot be planned or a world cannot be
-    flown; SealBroken if a truth has changed since it was sealed.
+    Parameters
+    ----------
+    folder
+        State and results; an interrupted study resumes.
+    jobs
+        Number of processes.
+    real
+        File with groups of recorded flights that are traced too.
+    programme
+        Flights in every world.
+
+    Raises
+    ------
+    UsageError
+        The folder holds another study or is in use.
+    StudyError
+        A route cannot be planned or a world cannot be flown.
+    SealBroken
+        A truth has changed since it was sealed.
     """
     planned = plan_worlds(seed, worlds, library())
     groups = [] if real is None else read_groups(real)
@@ -108,10 +121,10 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
             )
             for world in planned
         ]
-        _work(tasks, ledger, jobs, report)
+        _work(tasks, ledger, jobs, on_progress)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
-        recorded = judge_real(groups, folder, lambda detail: report(done, done, detail))
+        recorded = judge_real(groups, folder, lambda detail: on_progress(done, done, detail))
     return _outcome({"seed": seed, "worlds": worlds, "folder": str(folder)}, scores, recorded)
 
 
@@ -134,8 +147,8 @@ def _outcome(
     }
 
 
-def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
-    """Score every task. What was scored before is checked and left alone."""
+def _work(tasks: list[Task], ledger: Ledger, jobs: int, on_progress: OnProgress) -> None:
+    """Score every task. Tasks that are already scored are only checked."""
     to_fly: list[Task] = []
     to_judge: list[Task] = []
     done = 0.0
@@ -147,7 +160,7 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
         else:
             to_fly.append(task)
     total = len(tasks) * (_FLOWN + _JUDGED)
-    report(done, total, "")
+    on_progress(done, total, "")
     if not to_fly:
         return
     to_fly.reverse()
@@ -162,27 +175,27 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, report: Report) -> None:
                 running[pool.submit(judge if flown else fly, task)] = (task, flown)
             for future in wait(running, return_when=FIRST_COMPLETED).done:
                 task, flown = running.pop(future)
-                said = future.result()
+                result = future.result()
                 if flown:
                     done += _JUDGED
-                    report(done, total, f"world {task.world.name}: {said}")
+                    on_progress(done, total, f"world {task.world.name}: {result}")
                 else:
-                    ledger.record(task.world.name, said)
+                    ledger.record(task.world.name, result)
                     to_judge.append(task)
                     done += _FLOWN
-                    report(done, total, f"world {task.world.name} flown and sealed")
+                    on_progress(done, total, f"world {task.world.name} flown and sealed")
     finally:
         pool.shutdown(wait=True, cancel_futures=True)
 
 
 def fly(task: Task) -> str:
-    """Return the SHA-256 of the sealed truth of the task's world, flown where it was not."""
+    """Fly the task's world unless it is flown, and return the SHA-256 of its sealed truth."""
     task.folder.mkdir(parents=True, exist_ok=True)
     return fly_and_seal(task.world, task.folder, task.references, task.vehicle, task.programme)
 
 
 def judge(task: Task) -> str:
-    """Return the verdict on the task's world, traced and scored where it was not."""
+    """Trace and score the task's world unless that is done, and return the verdict."""
     trace(task.folder, task.programme, copier_of(task.world.case))
     score = score_world(task.folder, Ledger(task.ledger), task.programme)
     if task.with_baselines:
@@ -191,16 +204,16 @@ def judge(task: Task) -> str:
 
 
 def is_done(task: Task) -> bool:
-    """Whether everything asked of the task's world is there."""
+    """Return whether all results of the task exist."""
     others = not task.with_baselines or (task.folder / BASELINES).is_file()
     return (task.folder / SCORE).is_file() and others
 
 
 def _scores(task: Task) -> dict[str, Any]:
-    """Return the score of the task's world, with what other methods said where they were asked."""
+    """Return the score of the task's world, with the answers of other methods if they were requested."""
     others = task.folder / BASELINES
-    asked = task.with_baselines and others.is_file()
-    return {**read_json(task.folder / SCORE), "baselines": read_json(others) if asked else None}
+    available = task.with_baselines and others.is_file()
+    return {**read_json(task.folder / SCORE), "baselines": read_json(others) if available else None}
 
 
 def _end_with_parent() -> None:

@@ -1,16 +1,16 @@
-"""Calibrate the measured rules of tracing on simulated worlds that hold no effect.
+"""Calibrate the measured rules of tracing on simulated worlds without effects.
 
     trimtab study calibrate --seed 1
 
-In such a world the model lacks nothing but turbulence, noise and deviations within tolerance, so what tracing
-still finds is chance. The worlds' seeds come from a hash of their own: no other study flies them.
+Such a world differs from the model only by turbulence, noise and deviations within tolerance, so anything
+that tracing finds is chance. The seeds of the worlds come from a separate hash; no other study flies them.
 """
 
 from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.pieces import Piece, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, TRUTH, Programme, fly_and_seal, plan_references
@@ -29,11 +29,9 @@ from trimtab.sitl.studies.worlds import CALM, PlannedWorld
 NAME = "calibrate"
 WORLDS = 20
 TRACED = replace(BLIND, held_out=())
-"""What is flown in every world: the blind study's references twice, none held out."""
+"""Flights in every world: the blind study's references twice, none held out."""
 DRAWS = 1000
-"""Bootstrap draws over worlds behind each interval."""
-
-Report = Callable[[float, float, str], None]
+"""Number of bootstrap draws over worlds for each interval."""
 
 
 def run(
@@ -44,40 +42,40 @@ def run(
     jobs: int,
     worlds: int = WORLDS,
     programme: Programme = TRACED,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """Return what the worlds make of each measured rule: `answer`, `lines`, `tables` and `scores`.
+    """Measure each rule in the worlds, and return the outcome: `answer`, `lines`, `tables` and `scores`.
 
     Parameters
     ----------
     folder
         State and results; an interrupted study resumes.
     worlds
-        How many worlds are flown, at least two.
+        Number of worlds, at least two.
     programme
-        What is flown in every world.
+        Flights in every world.
 
     Raises
     ------
     UsageError
         Fewer than two worlds, or the folder holds another study.
     StudyError
-        A route cannot be planned or a world not flown.
+        A route cannot be planned or a world cannot be flown.
     """
     if worlds < 2:
         raise UsageError(f"--worlds {worlds}: give 2 or more")
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
-    order = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id}
+    config = {"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id}
     plan_references(folder, vehicle, programme)
     names = [f"{index:04d}" for index in range(worlds)]
     results = run_pieces(
         [Piece(name=name, kind="world", arguments={"index": i}) for i, name in enumerate(names)],
         partial(_measure_world, seed=seed, vehicle=vehicle, programme=programme),
         folder=folder,
-        order=order,
+        config=config,
         jobs=jobs,
-        report=report,
+        on_progress=on_progress,
     )
     scores = {name: results[name]["result"] for name in names}
     rows = calibrated(list(scores.values()), seed)
@@ -109,7 +107,7 @@ def planned_world(seed: int, index: int) -> PlannedWorld:
 def _measure_world(
     piece: Piece, folder: str, *, seed: int, vehicle: str, programme: Programme
 ) -> dict[str, float]:
-    """Fly the world of a piece, and return what its flights measure."""
+    """Fly the world of a piece, and return the quantities measured from its flights."""
     world = planned_world(seed, piece.arguments["index"])
     place = Path(folder) / "worlds" / world.name
     place.mkdir(parents=True, exist_ok=True)
@@ -120,9 +118,9 @@ def _measure_world(
 
 
 def calibrated(scores: Sequence[Mapping[str, float]], seed: int) -> dict[str, dict[str, float]]:
-    """Return for each measured rule the value in force, the one measured, and its 95 % interval.
+    """Return for each measured rule the value in force, the measured value and its 95 % interval.
 
-    A world's numbers stay together: the interval is a bootstrap over worlds.
+    The interval is from a bootstrap over worlds; the numbers of a world stay together.
     """
     table = np.array([[score[name] for name in Measured._fields] for score in scores])
     rng = np.random.default_rng(seed)
@@ -143,15 +141,15 @@ def calibrated(scores: Sequence[Mapping[str, float]], seed: int) -> dict[str, di
 def rules_of(table: np.ndarray) -> np.ndarray:
     """Return flight_repeat_share, temper and min_widening from the worlds' numbers (worlds, 3).
 
-    The share is the 95 % quantile over worlds, for one world in twenty may be called to need a cause; the
-    temper is a mean power; the widening is the root of a mean square.
+    The share is the 95 % quantile over worlds, so that chance exceeds it in one world in twenty. The temper
+    is a mean power. The widening is a root mean square.
     """
     share, power, error = table.T
     return np.array([np.quantile(share, 0.95), power.mean(), np.sqrt(error.mean())])
 
 
 def _cells(name: str, row: Mapping[str, float]) -> dict[str, str]:
-    """Return a rule's row of the page."""
+    """Return the row of a rule in the report."""
     return {
         "rule": name,
         "in_force": f"{row['in_force']:.3g}",

@@ -1,4 +1,4 @@
-"""The host's command line as a study uses it: words in, exit code and JSON object out."""
+"""Access to the host's command line for studies: words in, exit code and JSON object out."""
 
 from __future__ import annotations
 
@@ -22,9 +22,9 @@ COMMAND = "trimtab"
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
-    """What a run said: its exit code, its JSON object (empty where there was none), what went to stderr.
+    """Result of a run: exit code, JSON object (empty if there was none), and text on stderr.
 
-    `cpu_s` is the processor time of a run in a process of its own.
+    `cpu_s` is the processor time of a run in a separate process.
     """
 
     code: int
@@ -34,7 +34,7 @@ class Answer:
 
 
 def run_apart(words: Sequence[str], folder: Path) -> Answer:
-    """Return the answer of `trimtab WORDS --json` in a process of its own, with `folder` as current one."""
+    """Run `trimtab WORDS --json` in a separate process in `folder`, and return the answer."""
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [sys.executable, "-m", "trimtab.host.cli", *words, "--json"],
@@ -50,25 +50,23 @@ def run_apart(words: Sequence[str], folder: Path) -> Answer:
 
 
 def run_inside(words: Sequence[str]) -> Answer:
-    """Return the answer of `trimtab WORDS --json` in this process, for runs shorter than a start of
-    Python.
-    """
-    out, errors, kept = io.StringIO(), io.StringIO(), sys.argv
+    """Run `trimtab WORDS --json` in this process, for runs shorter than the start of Python."""
+    out, errors, argv = io.StringIO(), io.StringIO(), sys.argv
     sys.argv = [COMMAND, *words, "--json"]
     try:
         with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
             code = _command()(sys.argv[1:])
     finally:
-        sys.argv = kept
+        sys.argv = argv
     return Answer(code=code, data=_last(out.getvalue()), errors=errors.getvalue())
 
 
 def _command() -> Any:
-    """Return the function behind the installed command."""
-    found = entry_points(group="console_scripts", name=COMMAND)
-    if not found:
-        raise StudyError(f"the command {COMMAND} is not installed, install trimtab as a whole")
-    return next(iter(found)).load()
+    """Return the function of the installed command."""
+    points = entry_points(group="console_scripts", name=COMMAND)
+    if not points:
+        raise StudyError(f"the command {COMMAND} is not installed; install the complete trimtab")
+    return next(iter(points)).load()
 
 
 def _last(text: str) -> dict[str, Any]:

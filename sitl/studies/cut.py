@@ -1,4 +1,4 @@
-"""Copies of flight logs that hold less: what is left when somebody else's logger wrote them."""
+"""Reduced copies of flight logs, with only the data that foreign loggers record."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from trimtab.host.vehicle import Vehicle
 
 _Rows = TypeVar("_Rows", Battery, Control, Mocap)
 _FLOWN = (topics.REFERENCE, topics.DISPLAY_REFERENCE)
-_TOLD_AGAIN = ("format", "kind", "time_unit", "vehicle_id", "vehicle_name", "reference_id", "feedforward_id")
+_REWRITTEN = ("format", "kind", "time_unit", "vehicle_id", "vehicle_name", "reference_id", "feedforward_id")
 
 
 def without_gyro(log: Path, target: Path) -> None:
     """Write poses, motor commands, specific force and battery voltage to `target`.
 
-    Commands stand for the interval that follows their time; they are the flight's own means over it.
+    A command holds for the interval after its time; it is the mean of the flight's commands over it.
     """
     flight = read_flight(log)
     if flight.control is None:
@@ -48,9 +48,9 @@ def without_gyro(log: Path, target: Path) -> None:
 
 
 def sampled(log: Path, target: Path) -> None:
-    """Write motor commands as sampled at 100 Hz to `target`, in place of means.
+    """Write poses, gyro, specific force, battery voltage and sampled motor commands to `target`.
 
-    Beside them poses, gyro, specific force and battery voltage.
+    The motor commands are samples at 100 Hz instead of means.
     """
     flight = read_flight(log)
     if flight.control is None:
@@ -63,43 +63,41 @@ def sampled(log: Path, target: Path) -> None:
 
 
 def without_reference(log: Path, target: Path) -> None:
-    """Write the flight log to `target` without its reference and the law's parameters."""
-    found = scan_closed(log)
-    flight = to_flight(found)
-    told = {key: value for key, value in found.metadata[PROVENANCE].items() if key not in _TOLD_AGAIN}
-    kept = [topic for topic in topics.FLIGHT_TOPICS if topic.name not in _FLOWN]
-    with LogWriter(target, Provenance(vehicle=flight.vehicle, session=told), kept) as writer:
+    """Write the flight log to `target` without its reference and the parameters of the control law."""
+    records = scan_closed(log)
+    flight = to_flight(records)
+    session = {key: v for key, v in records.metadata[PROVENANCE].items() if key not in _REWRITTEN}
+    remaining = [topic for topic in topics.FLIGHT_TOPICS if topic.name not in _FLOWN]
+    with LogWriter(target, Provenance(vehicle=flight.vehicle, session=session), remaining) as writer:
         rows: list[tuple[Entry, str]] = []
-        for topic in kept:
-            rows += [(entry, topic.name) for entry in found.by_topic().get(topic.name, ())]
-        messages = {topic.name: topic.message for topic in kept}
+        for topic in remaining:
+            rows += [(entry, topic.name) for entry in records.by_topic().get(topic.name, ())]
+        messages = {topic.name: topic.message for topic in remaining}
         for entry, name in sorted(rows, key=lambda row: row[0].log_time_us):
             message = messages[name].FromString(entry.data)
             writer.write(name, message, entry.log_time_us, entry.publish_time_us)
 
 
 def motor_commands(vehicle: Vehicle, control: Control) -> np.ndarray:
-    """Motor commands (n, 4) in 0..1 at the instants t1_us, from the thrust and torque commanded there."""
+    """Return motor commands (n, 4) in 0..1 at the times t1_us, from the commanded thrust and torque."""
     rotors = vehicle.rotors
     matrix = allocation_matrix(
         [r.position_m for r in rotors], [r.spin_sign for r in rotors], vehicle.torque_per_thrust_m
     )
-    wanted = np.column_stack([control.collective, control.torque])
-    thrust = wanted @ np.linalg.inv(np.reshape(matrix, (4, 4))).T
+    demand = np.column_stack([control.collective, control.torque])
+    thrust = demand @ np.linalg.inv(np.reshape(matrix, (4, 4))).T
     c1, c2 = vehicle.thrust_curve
     command = [thrust_to_command(FLOAT, t, vehicle.thrust_max_n, c1, c2) for t in thrust.ravel().tolist()]
     return np.reshape(command, thrust.shape)
 
 
 def _since_arming(track: _Rows, t_us: np.ndarray) -> _Rows:
-    """Return the rows of a track that begin, t_us (n,), after arming: an import counts from its first
-    sample.
-    """
+    """Return the rows of a track that begin, t_us (n,), after arming, because imports start at time 0."""
     return track.rows(t_us >= 0)
 
 
 def _write(flight: Flight, target: Path, inputs: RecordedInputs, imu: RecordedImu) -> None:
-    """Write the log of these inputs and sensors as an import does."""
+    """Write a log of these inputs and sensors as an imported flight."""
     assert flight.mocap is not None
     battery = flight.battery
     write_imported(

@@ -2,9 +2,9 @@
 
     python -m trimtab.sitl.studies.demo_seeds OUT [--count 10] [--commit HEAD] [--world WORLD]
 
-Every demo runs through the command line in a process of its own; its truth is opened only once it has
-answered. Prints a row for each seed, failures included, then counts and medians. OUT receives the demos'
-folders and table.json.
+Every demo runs through the command line in a separate process. Its truth is opened only after the answer. The
+program prints a row for each seed, including failures, then counts and medians. OUT receives the folders of
+the demos and table.json.
 """
 
 from __future__ import annotations
@@ -23,27 +23,27 @@ DRAGS = {"linear-drag", "quadratic-drag"}
 
 
 def drawn_seeds(commit: str, count: int) -> list[int]:
-    """Return `count` seeds that follow from a commit's hash."""
+    """Return `count` seeds derived from a commit's hash."""
     digests = (hashlib.sha256(f"{commit} demo {i}".encode()).digest() for i in range(count))
     return [int.from_bytes(digest[:4], "big") % 1_000_000 for digest in digests]
 
 
 def run(seed: int, folder: Path, world: str | None) -> dict[str, Any]:
-    """Run one demo and return its answer, or an error object where it failed."""
+    """Run one demo and return its answer, or an error object if it failed."""
     words = ["demo", "--seed", str(seed), "-o", str(folder), "--force"]
     answer = run_apart(words + (["--world", world] if world else []), folder.parent)
     return answer.data or {"error": answer.errors, "exit_code": answer.code}
 
 
 def opened_truth(folder: Path, answer: dict[str, Any]) -> dict[str, dict[str, float]]:
-    """Return the sealed effects of a demo that has answered."""
+    """Return the sealed effects of a finished demo."""
     assert "verdict" in answer
     return json.loads(next(iter(sorted(folder.glob("*.truth.json")))).read_text())["effects"]
 
 
 def row(seed: int, answer: dict[str, Any], truth: dict[str, dict[str, float]]) -> dict[str, Any]:
     """Return the table's row for one demo."""
-    found = {effect["name"] for effect in answer["effects"]}
+    named = {effect["name"] for effect in answer["effects"]}
     aliases = {alias["name"] for effect in answer["effects"] for alias in effect["aliases"]}
     before, after = answer["before"]["position_rmse_m"], answer["after"]["position_rmse_m"]
     first = answer["tracking_rmse_first_m"]
@@ -53,8 +53,8 @@ def row(seed: int, answer: dict[str, Any], truth: dict[str, dict[str, float]]) -
         "truth": truth,
         "verdict": answer["verdict"],
         "found": {e["name"]: {k: v["value"] for k, v in e["parameters"].items()} for e in answer["effects"]},
-        "exact": found == set(truth),
-        "in_alias_set": set(truth) <= found | aliases,
+        "exact": named == set(truth),
+        "in_alias_set": set(truth) <= named | aliases,
         "held_out_ratio": after / before if before and after else None,
         "new_plan_ratio": new / first if new and first else None,
         "applied_ratio": applied / first if applied and first else None,
@@ -76,17 +76,17 @@ def main() -> None:
     parser.add_argument("--count", type=int, default=10)
     parser.add_argument("--commit", default="HEAD")
     parser.add_argument("--world")
-    given = parser.parse_args()
+    arguments = parser.parse_args()
     commit = subprocess.run(
-        ["git", "rev-parse", given.commit], capture_output=True, text=True, check=True
+        ["git", "rev-parse", arguments.commit], capture_output=True, text=True, check=True
     ).stdout.strip()
-    out = given.out.absolute()
+    out = arguments.out.absolute()
     out.mkdir(parents=True, exist_ok=True)
     rows = []
     print(f"commit {commit}")
-    for seed in drawn_seeds(commit, given.count):
-        folder = out / f"{given.world or 'default'}-{seed}"
-        answer = run(seed, folder, given.world)
+    for seed in drawn_seeds(commit, arguments.count):
+        folder = out / f"{arguments.world or 'default'}-{seed}"
+        answer = run(seed, folder, arguments.world)
         if "verdict" not in answer:
             rows.append({"seed": seed, "error": answer})
             print(json.dumps(rows[-1]), flush=True)

@@ -1,4 +1,4 @@
-"""Files of a study: written whole or not at all, so that a killed run leaves nothing half."""
+"""Files of a study, written completely or not at all, so that an interrupted run leaves no partial file."""
 
 from __future__ import annotations
 
@@ -13,19 +13,19 @@ from trimtab.host.base.errors import TrimtabError
 
 
 class StudyError(TrimtabError):
-    """A study that cannot go on as asked; its text says why and what to do."""
+    """A study cannot continue. The text says why and what to do."""
 
     exit_code = 2
 
 
 class SealBroken(StudyError):
-    """A truth that is not the one whose hash was recorded before tracing."""
+    """A truth differs from the one whose hash was recorded before tracing."""
 
     exit_code = 1
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write the file whole: it appears complete under its name, or the old one stays."""
+    """Write a complete file, or leave the old one unchanged."""
     partial = path.with_name(f"{path.name}.{os.getpid()}.part")
     with partial.open("wb") as file:
         file.write(content)
@@ -35,12 +35,12 @@ def write_whole(path: Path, content: bytes) -> None:
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:
-    """Write `content` as a whole file, keys sorted. Raises ValueError on NaN or infinity."""
+    """Write `content` as a complete file with sorted keys. Raises ValueError on NaN or infinity."""
     write_whole(path, (json.dumps(content, indent=1, sort_keys=True, allow_nan=False) + "\n").encode())
 
 
 def read_json(path: Path) -> dict[str, Any]:
-    """Return what a file written by `write_json` holds."""
+    """Return the content of a file that `write_json` wrote."""
     return json.loads(path.read_bytes())
 
 
@@ -50,9 +50,9 @@ def sha256_of(path: Path) -> str:
 
 
 class Ledger:
-    """The hashes of all truths of a study, by world, recorded before anything was traced.
+    """Hashes of the truths of a study by world, recorded before tracing.
 
-    Written by one process alone. An entry never changes.
+    Only one process writes it. An entry never changes.
     """
 
     def __init__(self, path: Path) -> None:
@@ -68,7 +68,7 @@ class Ledger:
         self._hashes[world] = digest
 
     def check(self, world: str, digest: str) -> None:
-        """Raise SealBroken if no hash was recorded, or another one."""
+        """Raise SealBroken if no hash or a different one was recorded."""
         known = self._hashes.get(world)
         if known is None:
             raise SealBroken(f"world {world}: no hash of its truth was recorded before it was traced")

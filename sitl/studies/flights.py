@@ -1,4 +1,4 @@
-"""A world's flights: references planned once a study, flown through firmware and radio, the truth sealed."""
+"""Flights of a world: plan references once for a study, fly through firmware and radio, seal the truth."""
 
 from __future__ import annotations
 
@@ -16,38 +16,39 @@ from trimtab.sitl.studies.worlds import PlannedWorld
 
 @dataclass(frozen=True, kw_only=True)
 class Programme:
-    """What is flown in every world: routes flown `twins` times each, and others held out.
+    """Flights in every world: learning routes flown `repeats` times each, and held-out routes.
 
-    A route is a file of the folder `routes`, or else one that the command line knows by its name.
+    A route is a file in the folder `routes`, or a name that the command line knows.
     """
 
     routes: Path
     learning: tuple[str, ...]
     held_out: tuple[str, ...]
-    twins: int = 2
+    repeats: int = 2
 
     def flights(self) -> list[tuple[str, str, int]]:
-        """Log name, route and flight index of every flight of a world, twins first."""
-        flights = [(f"{name}-{twin}", name) for name in self.learning for twin in range(1, self.twins + 1)]
+        """Return log name, route and flight index of every flight of a world, repeat flights first."""
+        flights = [(f"{name}-{k}", name) for name in self.learning for k in range(1, self.repeats + 1)]
         flights += [(name, name) for name in self.held_out]
         return [(log, name, index) for index, (log, name) in enumerate(flights, start=1)]
 
     def logs(self, routes: tuple[str, ...]) -> list[str]:
-        """File names of the logs of these routes."""
+        """Return the file names of the logs of these routes."""
         return [f"{log}.mcap" for log, name, _ in self.flights() if name in routes]
 
     def still(self, *, each: bool) -> list[tuple[str, str, int]]:
-        """Return the same of the flights in still air: one a learning route, or one for `each` of its twins,
-        where every flight has a battery of its own.
+        """Return the same for flights in still air: one for each learning route.
+
+        With `each`, return one for every repeat flight, because each has a different battery charge.
         """
         if each:
             return [flight for flight in self.flights() if flight[1] in self.learning]
         return [(name, name, index) for index, name in enumerate(self.learning, start=1)]
 
     def route(self, name: str) -> str:
-        """Return the route of this name as the command line takes it."""
-        own = self.routes / f"{name}.toml"
-        return str(own) if own.is_file() else name
+        """Return the route of this name as an argument for the command line."""
+        path = self.routes / f"{name}.toml"
+        return str(path) if path.is_file() else name
 
 
 BLIND = Programme(
@@ -55,22 +56,21 @@ BLIND = Programme(
     learning=("quick", "low", "climbs", "sprint"),
     held_out=("check-loop", "check-points"),
 )
-"""Quick turns, the ground and headings, vertical motion, accelerations all round; 12 s each."""
+"""Quick turns, flight near the ground with headings, vertical motion, accelerations; 12 s each."""
 
 TRUTH, VERDICT, SCORE = "truth.json", "verdict.json", "score.json"
-"""The three stages of a world; each file is there when its stage is done."""
+"""Files of the three stages of a world. Each exists when its stage is done."""
 
 STILL = "still"
-"""Folder of the flights in still air, which the scorer alone opens."""
+"""Folder of the flights in still air, which only the scoring opens."""
 
 _LOG_TRUTH, _WORLD = ".truth.json", "world.toml"
 
 
 def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
-    """Return the folder with the study's references, planned by the command line where they are not there
-    yet.
+    """Plan the study's references that do not exist yet, and return their folder.
 
-    Raises StudyError where one cannot be planned.
+    Raises StudyError if one cannot be planned.
     """
     target = folder / "references"
     target.mkdir(exist_ok=True)
@@ -80,9 +80,9 @@ def plan_references(folder: Path, vehicle: str, programme: Programme) -> Path:
 
 
 def plan_route(folder: Path, name: str, route: str, vehicle: str) -> None:
-    """Plan the reference `name` of a route in `folder` if it is not there yet.
+    """Plan the reference `name` of a route in `folder` if it does not exist yet.
 
-    Raises StudyError where it cannot be planned.
+    Raises StudyError if it cannot be planned.
     """
     if (folder / f"{name}.ref").is_file():
         return
@@ -94,10 +94,10 @@ def plan_route(folder: Path, name: str, route: str, vehicle: str) -> None:
 def fly_and_seal(
     world: PlannedWorld, folder: Path, references: Path, vehicle: str, programme: Programme
 ) -> str:
-    """Return the SHA-256 of the world's truth, flown and sealed in `folder`; what is there already stays.
+    """Fly a world in `folder`, seal its truth and return the truth's SHA-256. Existing files stay.
 
-    A reference with a vehicle file of its name beside it is flown by that vehicle. A flight that fails is
-    part of the world too, as far as it has left a log.
+    If a vehicle file with the name of a reference lies beside it, that vehicle flies it. A failed flight also
+    counts, as far as it has a log.
     """
     if (folder / TRUTH).is_file():
         return sha256_of(folder / TRUTH)
@@ -108,7 +108,7 @@ def fly_and_seal(
     for name, route, index in programme.flights():
         log = logs / f"{name}.mcap"
         _fly(world, world.toml(), references / route, index, vehicle, log)
-        sealed = read_json(_beside(log))
+        sealed = read_json(_truth_path(log))
         flown.append({"log": log.name, "sha256": sha256_of(log)})
     if world.is_measured:
         (folder / STILL).mkdir(exist_ok=True)
@@ -129,38 +129,38 @@ def fly_and_seal(
         "flights": flown,
     }
     write_json(folder / TRUTH, truth)
-    for beside in folder.glob(f"*/*{_LOG_TRUTH}"):
-        beside.unlink()
+    for path in folder.glob(f"*/*{_LOG_TRUTH}"):
+        path.unlink()
     (folder / _WORLD).unlink()
     return sha256_of(folder / TRUTH)
 
 
 def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: str, log: Path) -> None:
-    """Fly and log a world's `file`, unless it was logged, with its truth beside it.
+    """Fly in the world `file` and write the log with its truth beside it, unless they exist.
 
-    `reference` is without its suffix. Raises StudyError where it cannot be flown.
+    `reference` is a path without suffix. Raises StudyError if it cannot be flown.
     """
-    if _beside(log).is_file():
+    if _truth_path(log).is_file():
         return
     path = log.parent.parent / _WORLD
     write_whole(path, file.encode())
-    own = reference.with_name(f"{reference.name}.toml")
-    craft = str(own) if own.is_file() else vehicle
+    vehicle_file = reference.with_name(f"{reference.name}.toml")
+    craft = str(vehicle_file) if vehicle_file.is_file() else vehicle
     words = ["fly", f"{reference}.ref", "--vehicle", craft, "--world", str(path)]
     words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
     done = run_inside([*words, "-o", str(log), "--force"])
-    if done.code not in (0, 1) or not _beside(log).is_file():
+    if done.code not in (0, 1) or not _truth_path(log).is_file():
         raise StudyError(f"world {world.name}, flight {log.stem}: {done.errors.strip()}")
 
 
-def _beside(log: Path) -> Path:
+def _truth_path(log: Path) -> Path:
     return log.with_name(log.name + _LOG_TRUTH)
 
 
 def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], object] = shutil.copyfile) -> None:
-    """Write the verdict on the world's logs to a file in `folder`, once.
+    """Trace the world's logs and write the verdict to `folder`, unless it exists.
 
-    The command line sees a folder that holds what `copy` makes of each log and nothing else.
+    The command line runs in a folder that contains only the copies that `copy` makes of the logs.
     """
     if (folder / VERDICT).is_file():
         return
@@ -175,9 +175,9 @@ def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], objec
 
 
 def ask(folder: Path, logs: Sequence[str], held_out: Sequence[str]) -> dict[str, Any]:
-    """Return what `trimtab trace` says of the logs in `folder`: exit_code, answer, errors, trace_s.
+    """Run `trimtab trace` on the logs in `folder`, and return exit_code, answer, errors and trace_s.
 
-    No network is asked for: it predicts what no verdict is about.
+    No network is trained, because it does not affect the verdict.
     """
     words = ["trace", *logs, "--no-network", *(["--hold-out", *held_out] if held_out else [])]
     done = run_apart(words, folder)

@@ -1,19 +1,19 @@
-"""The study of the link: uploads over lossy air, in flight, interrupted, and bytes that nobody should send.
+"""The link study: uploads over a lossy radio link, uploads in flight, interrupted uploads, and fuzzing.
 
     trimtab study link --seed 2030
 
-Every part leaves a file in the folder, so a study that was cut short goes on where it was.
+Every part writes a file, so an interrupted study resumes.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.pieces import Piece, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import StudyError, write_whole
 from trimtab.sitl.studies.fuzz.run import run_fuzz
@@ -44,16 +44,15 @@ _TITLES = {
 }
 _INTERRUPTED = {
     "cut": "link cut for 5 s",
-    "host": "host killed, the next one at once",
+    "host": "host killed and restarted immediately",
     "vehicle": "vehicle reset, 0.3 s without power",
 }
 Row = dict[str, str]
-Report = Callable[[float, float, str], None]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Part:
-    """Some of the work, `count` items from `first` on; `weight` is its share of all."""
+    """A part of the work: `count` items from `first`. `weight` is its share of the total."""
 
     kind: str
     channel: str = ""
@@ -74,16 +73,17 @@ def run(
     vehicle: str,
     jobs: int,
     quick: bool = False,
-    report: Report = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
-    """Return the study's outcome: `answer` (the machine's object), `lines` and `tables` (for people),
-    `scores`.
+    """Run the study and return its outcome: `answer` (the JSON object), `lines`, `tables` and `scores`.
 
-    quick: a small one, to see that everything works. Raises StudyError where the folder holds another study,
-    or the vehicle is not the one that the uploaded references are for.
+    With `quick`, run a small study to check that everything works. Raises UsageError if the folder holds
+    another study, and StudyError if the vehicle is not the one of the uploaded references.
     """
     if load_vehicle(vehicle).id != load_vehicle("research").id:
-        raise StudyError(f"--vehicle {vehicle}: the link is studied with research, leave it out")
+        raise StudyError(
+            f"--vehicle {vehicle}: the link study uses the vehicle research; leave --vehicle out"
+        )
     folder = folder.absolute()
     if quick:
         parts = list(_parts(QUICK_RUNS, QUICK_FLIGHTS, QUICK_TRIALS, QUICK_FUZZ_INPUTS))
@@ -92,13 +92,13 @@ def run(
     pieces = [
         Piece(name=part.name, kind=part.kind, arguments=asdict(part), weight=part.weight) for part in parts
     ]
-    order = {"study": NAME, "seed": seed, "quick": quick}
+    config = {"study": NAME, "seed": seed, "quick": quick}
     results = run_pieces(
-        pieces, partial(_do, seed=seed), folder=folder, order=order, jobs=jobs, report=report
+        pieces, partial(_do, seed=seed), folder=folder, config=config, jobs=jobs, on_progress=on_progress
     )
-    found = _rows(parts, results)
+    rows = _rows(parts, results)
     write_whole(folder / PICTURE, picture().encode())
-    return {**summary({"seed": seed, "quick": quick, "folder": str(folder)}, found), "scores": found}
+    return {**summary({"seed": seed, "quick": quick, "folder": str(folder)}, rows), "scores": rows}
 
 
 def _parts(runs: int, flights: int, trials: int, inputs: int) -> Iterator[Part]:
@@ -145,7 +145,7 @@ def do(part: Part, seed: int) -> list[dict[str, Any]]:
 
 
 def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str, Any]]]) -> dict[str, Any]:
-    """`answer`, `lines` and `tables` of a study's rows."""
+    """Return `answer`, `lines` and `tables` from the rows of a study."""
     uploads = {channel: figures(found[channel]) for channel in CHANNELS}
     size, seed = len(reference_blob("research", 1)), answer["seed"]
     bounds = {channel: bound_s(size, radio) for channel, radio in CHANNELS.items()}
@@ -159,7 +159,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
     flights = [row for channel in RADIOS for row in found[channel]]
     trials = [row[kind] for row in found["cuts"] for kind in INTERRUPTIONS]
     crashes = [crash for row in found["fuzz"] for crash in row["crashes"]]
-    told = {
+    answers = {
         "study": NAME,
         **answer,
         "runs": uploads["upload"]["runs"],
@@ -191,13 +191,13 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
         "Uploads of 20.8 kB in flight": [
             _flights_row(channel, flown[channel], found[channel]) for channel in RADIOS
         ],
-        "Other ways over the same air, 10 % loss": [
-            {"way": name, "mean": _text(seconds, "s")} for name, seconds in peers.items()
+        "Other protocols over the same link, 10 % loss": [
+            {"protocol": name, "mean": _text(seconds, "s")} for name, seconds in peers.items()
         ],
         "Interrupted uploads, 10 % loss": _cuts_table(found["cuts"]),
-        "Fuzz": [{"inputs": str(told["fuzz_inputs"]), "crashes": str(told["fuzz_crashes"])}],
+        "Fuzz": [{"inputs": str(answers["fuzz_inputs"]), "crashes": str(answers["fuzz_crashes"])}],
     }
-    return {"answer": told, "lines": list(_lines(tables)), "tables": tables}
+    return {"answer": answers, "lines": list(_lines(tables)), "tables": tables}
 
 
 def _uploads_table(uploads: Mapping[str, Any], bounds: Mapping[str, float]) -> list[Row]:
@@ -208,7 +208,7 @@ def _uploads_table(uploads: Mapping[str, Any], bounds: Mapping[str, float]) -> l
             "mean": _text(found["mean_s"], "s"),
             "median": _text(found["p50_s"], "s"),
             "p99": _text(found["p99_s"], "s"),
-            "most": _text(found["max_s"], "s"),
+            "maximum": _text(found["max_s"], "s"),
             "bound": _text(bounds[channel], "s"),
             "target": _TARGETS.get(channel, ""),
         }
@@ -223,11 +223,11 @@ def _flights_row(channel: str, found: Mapping[str, Any], rows: Sequence[Mapping[
         "flights": str(found["runs"]),
         "failed": str(found["failed"]),
         "upload, mean": _text(found["mean_s"], "s"),
-        "most": _text(found["max_s"], "s"),
-        "share of the slots, most": _text(100 * max(row["slot_share"] for row in rows), "%"),
+        "maximum": _text(found["max_s"], "s"),
+        "share of the slots, maximum": _text(100 * max(row["slot_share"] for row in rows), "%"),
         "poses": str(len(delays_us)),
         "delay of a pose, mean": _text(1e-3 * _mean(delays_us), "ms"),
-        "the longest": _text(1e-3 * max(delays_us), "ms"),
+        "maximum delay": _text(1e-3 * max(delays_us), "ms"),
         "target": "<= 30 % of the slots, <= 2 ms",
     }
 
@@ -236,15 +236,15 @@ def _cuts_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
     table = []
     for kind in INTERRUPTIONS:
         trials = [row[kind] for row in rows]
-        rest = [trial["seconds"] for trial in trials]
+        seconds = [trial["seconds"] for trial in trials]
         table.append({
             "interrupted": _INTERRUPTED[kind],
             "trials": str(len(trials)),
             "failed": str(sum(trial["failed"] for trial in trials)),
             "chunks resent": str(sum(trial["resent"] for trial in trials)),
-            "held before, mean": _text(_mean([trial["held"] for trial in trials]), ""),
-            "afterwards, mean": _text(_mean(rest), "s"),
-            "most": _text(max(rest), "s"),
+            "chunks held before, mean": _text(_mean([trial["held"] for trial in trials]), ""),
+            "time afterwards, mean": _text(_mean(seconds), "s"),
+            "maximum": _text(max(seconds), "s"),
         })  # fmt: skip
     return table
 

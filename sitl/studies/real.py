@@ -1,6 +1,6 @@
-"""Flights that somebody flew, beside the drawn worlds: groups of logs, traced, one or more held out.
+"""Recorded flights in the blind study: groups of logs that are traced, with some held out.
 
-There is no truth to hold a verdict against; what counts is the error on flights that were not used.
+There is no truth to compare a verdict with. The score is the error on the held-out flights.
 """
 
 from __future__ import annotations
@@ -21,30 +21,30 @@ REAL = "real"
 
 
 class Group(Strict):
-    """Logs that are traced together. Paths are absolute or start at the file that names them."""
+    """Logs that are traced together. Paths are absolute, or relative to the file with the group."""
 
     name: str
     logs: Annotated[tuple[str, ...], Field(min_length=1)]
     hold_out: tuple[str, ...] = ()
     profile: Literal["nanobench", "crazyflie-usd", "csv"] | None = None
-    """How `trimtab import` reads the logs; without one they are flight logs already."""
+    """Profile of `trimtab import` for the logs. Without one, they are Trimtab flight logs."""
     columns: str | None = None
     """Column map of the profile csv."""
     vehicle: str = "nano"
-    """What is imported is a flight of it: a name, or the path of a vehicle file."""
+    """Vehicle of imported flights: a name, or the path of a vehicle file."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Group:
         if (self.profile == "csv") != (self.columns is not None):
-            raise ValueError("columns go with the profile csv, and only with it")
+            raise ValueError("the profile csv needs columns, and no other profile takes them")
         stems = [Path(log).stem for log in (*self.logs, *self.hold_out)]
         if len(set(stems)) != len(stems):
-            raise ValueError("two logs of one name, rename one of them")
+            raise ValueError("two logs have the same name; rename one of them")
         return self
 
 
 class RealFlights(Strict):
-    """The file that `--real` takes."""
+    """Content of the file for `--real`."""
 
     group: Annotated[tuple[Group, ...], Field(min_length=1)]
 
@@ -52,45 +52,43 @@ class RealFlights(Strict):
 def read_groups(path: Path) -> list[Group]:
     """Return the groups of a file, with absolute paths.
 
-    Raises StudyError where the file or a log is not there, ConfigurationError where it says something wrong.
+    Raises StudyError if the file or a log does not exist, ConfigurationError if the content is invalid.
     """
     try:
         text = path.read_text(encoding="utf-8")
     except OSError as error:
-        raise StudyError(f"{path}: cannot be read ({error.strerror}), give a file of groups") from None
+        raise StudyError(f"{path}: cannot be read ({error.strerror}); give a TOML file with groups") from None
     folder = path.absolute().parent
-    found = []
+    groups = []
     for group in read_strict(text, str(path), RealFlights).group:
         logs, held_out = (tuple(str(folder / log) for log in some) for some in (group.logs, group.hold_out))
         columns = None if group.columns is None else str(folder / group.columns)
-        own = folder / group.vehicle
+        vehicle_file = folder / group.vehicle
         for file in (*logs, *held_out, *(() if columns is None else (columns,))):
             if not Path(file).is_file():
-                raise StudyError(f"{path}: {group.name}: {file} is not there")
+                raise StudyError(f"{path}: {group.name}: {file} does not exist")
         paths = {"logs": logs, "hold_out": held_out, "columns": columns}
-        vehicle = str(own) if own.is_file() else group.vehicle
-        found.append(group.model_copy(update={**paths, "vehicle": vehicle}))
-    return found
+        vehicle = str(vehicle_file) if vehicle_file.is_file() else group.vehicle
+        groups.append(group.model_copy(update={**paths, "vehicle": vehicle}))
+    return groups
 
 
 def judge_real(
-    groups: Sequence[Group], folder: Path, report: Callable[[str], None] = lambda _: None
+    groups: Sequence[Group], folder: Path, on_progress: Callable[[str], None] = lambda _: None
 ) -> list[dict[str, Any]]:
-    """Return a row of plain data for each group: name, used, held_out, verdict, effects, before_m, after_m,
-    trace_s.
+    """Trace each group and return a row of plain data for it, see `real_row`.
 
-    What was traced before, of the same files, is taken from `folder`. Raises StudyError where a log is no
-    flight.
+    Earlier results for the same files are read from `folder`. Raises StudyError if a log cannot be imported.
     """
     rows = []
     for index, group in enumerate(groups):
         rows.append(real_row(group, _verdict(group, folder / REAL / f"{index:02d}")))
-        report(f"{group.name}: {rows[-1]['verdict']}")
+        on_progress(f"{group.name}: {rows[-1]['verdict']}")
     return rows
 
 
 def _verdict(group: Group, folder: Path) -> dict[str, Any]:
-    """Return what tracing says of the group, made once for the same files and settings."""
+    """Return the verdict on the group, traced once for the same files and settings."""
     inputs = [*group.logs, *group.hold_out, *([] if group.columns is None else [group.columns])]
     asked = {**group.model_dump(mode="json"), "sha256": {path: sha256_of(Path(path)) for path in inputs}}
     if (folder / VERDICT).is_file():
@@ -110,7 +108,7 @@ def _verdict(group: Group, folder: Path) -> dict[str, Any]:
 
 
 def _bring_in(group: Group, path: str, folder: Path) -> None:
-    """Import the log into `folder` as a flight log of the project's own."""
+    """Copy or import the log into `folder` as a Trimtab flight log."""
     target = f"{Path(path).stem}.mcap"
     if group.profile is None:
         shutil.copyfile(path, folder / target)
@@ -124,7 +122,7 @@ def _bring_in(group: Group, path: str, folder: Path) -> None:
 
 
 def real_row(group: Group, verdict: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what the study tells of a group, from the verdict on it."""
+    """Return the row of a group in the study's results, from its verdict."""
     answer = verdict["answer"]
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {

@@ -1,4 +1,4 @@
-"""The table of a blind study for people: each figure with count, exact interval and target."""
+"""Tables of a blind study: each figure with count, exact interval and target."""
 
 from __future__ import annotations
 
@@ -16,8 +16,8 @@ _SHARES = (
     ("false_alarm", "false alarms where nothing is missing", "<= 2 %"),
     ("abstain_outside", "abstention outside the library", ">= 90 %"),
     ("abstain_inside", "abstention inside the library", "<= 3 %"),
-    ("thin_wrong", "thin data: traced with a name that is not true", "0 %"),
-    ("thin_told", "thin data: what is missing is said", "100 %"),
+    ("thin_wrong", "thin data: traced with a wrong effect", "0 %"),
+    ("thin_told", "thin data: missing data reported", "100 %"),
 )
 _NUMBERS = (
     ("parameter_error_median", "parameter error, median", "<= 3 %", "parameter_error", "%"),
@@ -40,7 +40,7 @@ _NUMBERS = (
 
 
 def table(figures: Mapping[str, Any]) -> list[Row]:
-    """Rows of texts: figure, value, n, interval, target."""
+    """Return rows of strings: figure, value, n, interval, target."""
     rows = []
     for key, label, target in _SHARES:
         rows.append(_share_row(label, target, figures[key], figures["n"][key], figures["interval"][key]))
@@ -56,12 +56,12 @@ def table(figures: Mapping[str, Any]) -> list[Row]:
 
 
 def thin_table(figures: Mapping[str, Any]) -> list[Row]:
-    """Rows of what came of thin data, by case: the case, how many, and how many of each outcome."""
+    """Return rows for thin data: the case, its number of worlds, and the number of each outcome."""
     return [{"case": case, **counts} for case, counts in figures["thin"].items()]
 
 
 def baseline_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Rows of texts: method, top1, pairs, alarms, named, error."""
+    """Return rows of strings: method, top1, pairs, alarms, named, error."""
     return [
         {
             "method": row["method"],
@@ -76,7 +76,7 @@ def baseline_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def real_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Rows of texts: name, used, held_out, verdict, said, before, after, seconds."""
+    """Return rows of strings: name, used, held_out, verdict, said, before, after, seconds."""
     return [
         {
             "name": row["name"],
@@ -93,7 +93,7 @@ def real_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _effect(effect: Mapping[str, Any]) -> str:
-    """Return an effect with its values and two standard deviations, and what it could be in its place."""
+    """Return an effect with its values, two standard deviations, and its aliases."""
     values = ", ".join(
         f"{key} {p['value']:.3g} +- {2 * p['sd']:.2g}{'' if p['unit'] == '1' else ' ' + p['unit']}"
         for key, p in effect["parameters"].items()
@@ -117,22 +117,20 @@ def lines(
     others: Sequence[Mapping[str, Any]] = (),
     real: Sequence[Mapping[str, Any]] = (),
 ) -> list[str]:
-    """Return the table as text, what came of thin data, worlds that were judged wrongly, other methods,
-    flights.
-    """
+    """Return the table, thin data, wrong verdicts, other methods and recorded flights as lines of text."""
     rows = [{"figure": "", "value": "", "n": "n", "interval": "95 %", "target": "target"}, *table(figures)]
     widths = {key: max(len(str(row[key])) for row in rows) for key in rows[0]}
     out = ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in rows]
     for row in thin_table(figures):
         counts = ", ".join(f"{row[word]} {word}" for word in OUTCOMES if row[word])
-        out.append(f"{row['case']}: {counts}; what is missing is said in {row['told']} of {row['n']}")
+        out.append(f"{row['case']}: {counts}; missing data reported in {row['told']} of {row['n']}")
     for score in scores:
         wrong = failure(score)
         if wrong:
             out.append(f"world {score['world']}: {wrong}")
     out += [
-        f"{row['method']}: first name right {row['top1']}, pairs exact {row['pairs']}, false alarms "
-        f"{row['alarms']}, {row['named']} effects named in the mean, held-out error {row['error']}"
+        f"{row['method']}: first name correct {row['top1']}, pairs exact {row['pairs']}, false alarms "
+        f"{row['alarms']}, {row['named']} effects named on average, held-out error {row['error']}"
         for row in baseline_table(others)
     ]
     out += [
@@ -144,15 +142,15 @@ def lines(
 
 
 def failure(score: Mapping[str, Any]) -> str | None:
-    """Return what went wrong with a world, in a line; None where nothing did."""
+    """Return a line about a world's wrong verdict, or None if the verdict is correct."""
     kinds, named = " + ".join(score["kinds"]) or "nothing", ", ".join(score["named"]) or "nothing named"
     if is_right(score):
         return None
     weak = "" if score["identifiable"] in (None, True) else ", not identifiable"
-    said = "; ".join(score["reasons"]) or score["errors"].strip()
+    reason = "; ".join(score["reasons"]) or score["errors"].strip()
     if score["case"] is not None:
-        weak = f", {score['case']}{'' if score['told'] else ', which is not said'}"
-    return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({said})' if said else ''}"
+        weak = f", {score['case']}{'' if score['told'] else ' not reported'}"
+    return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({reason})' if reason else ''}"
 
 
 def _share_row(label: str, target: str, share: float | None, n: int, interval: Sequence[float] | None) -> Row:

@@ -1,4 +1,4 @@
-"""Thin data: worlds of which little is flown or little is logged, one thing missing in each."""
+"""Thin data: worlds with few flights or incomplete logs, each with one thing missing."""
 
 from __future__ import annotations
 
@@ -16,15 +16,15 @@ from trimtab.sitl.studies.flights import Programme, plan_references, plan_route
 ROUTES = Path(str(files("trimtab.sitl.studies"))) / "thin_routes"
 HOVER, SHORT, OTHER = "thin-hover", "thin-short", "thin-other"
 OTHER_MASS = 1.1
-"""The second vehicle's mass over the first one's: another build of the same make."""
+"""Mass of the second vehicle over that of the first: another build of the same model."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Case:
-    """One way in which data are thin.
+    """One kind of thin data.
 
-    codes: findings or refusals, one of which the answer to such data has to hold. programme: what is flown,
-    from the study's own. copy: makes the log that is traced from the one that was flown.
+    `codes` are findings or refusals; the answer must hold one of them. `programme` changes the flights of the
+    study. `copy` makes the traced log from the flown one.
     """
 
     codes: tuple[str, ...]
@@ -33,19 +33,19 @@ class Case:
 
 
 def _one_flight(whole: Programme) -> Programme:
-    return replace(whole, learning=whole.learning[:1], held_out=(), twins=1)
+    return replace(whole, learning=whole.learning[:1], held_out=(), repeats=1)
 
 
-def _no_twins(whole: Programme) -> Programme:
-    return replace(whole, twins=1)
+def _no_repeat_flights(whole: Programme) -> Programme:
+    return replace(whole, repeats=1)
 
 
 def _two_vehicles(whole: Programme) -> Programme:
-    return replace(whole, learning=(whole.learning[0], OTHER), held_out=(), twins=1)
+    return replace(whole, learning=(whole.learning[0], OTHER), held_out=(), repeats=1)
 
 
 def _three_seconds(whole: Programme) -> Programme:
-    return replace(whole, learning=(SHORT,), held_out=(), twins=1)
+    return replace(whole, learning=(SHORT,), held_out=(), repeats=1)
 
 
 def _hover(whole: Programme) -> Programme:
@@ -54,7 +54,7 @@ def _hover(whole: Programme) -> Programme:
 
 CASES: dict[str, Case] = {
     "one flight": Case(codes=("no-twin",), programme=_one_flight),
-    "no twins": Case(codes=("no-twin",), programme=_no_twins),
+    "no twins": Case(codes=("no-twin",), programme=_no_repeat_flights),
     "no gyro": Case(codes=("no-gyro",), copy=cut.without_gyro),
     "sampled telemetry": Case(codes=("sampled-commands",), copy=cut.sampled),
     "no reference": Case(codes=("no-reference",), copy=cut.without_reference),
@@ -62,24 +62,23 @@ CASES: dict[str, Case] = {
     "three seconds": Case(codes=("tracking-too-short", "too-few-segments"), programme=_three_seconds),
     "constant hover": Case(codes=("hover-only", "tracking-too-short"), programme=_hover),
 }
-"""By name, as worlds are drawn."""
+"""Kinds of thin data, by the names in `worlds.THIN`."""
 
 
 def programme_of(case: str | None, whole: Programme) -> Programme:
-    """Return what is flown in a world of this case; the study's own programme where it is none."""
+    """Return the flights in a world of this case, or the study's own for None."""
     return whole if case is None else CASES[case].programme(whole)
 
 
 def copier_of(case: str | None) -> Callable[[Path, Path], object]:
-    """Return what makes a traced log from a flown one."""
+    """Return the function that makes a traced log from a flown one."""
     return shutil.copyfile if case is None else CASES[case].copy
 
 
 def plan_thin_references(folder: Path, vehicle: str, whole: Programme) -> None:
-    """Plan the references that only thin worlds fly, beside the study's own.
+    """Plan the additional references of thin worlds.
 
-    Those of the second vehicle have its vehicle file beside them. Raises StudyError where one cannot be
-    planned.
+    The second vehicle's file lies beside its reference. Raises StudyError if one cannot be planned.
     """
     routes = Programme(routes=ROUTES, learning=(HOVER, SHORT), held_out=())
     target = plan_references(folder, vehicle, routes)

@@ -1,4 +1,4 @@
-"""The blob that is uploaded: a reference that flies, of 399 nodes and one of yaw, 20,806 B."""
+"""The uploaded blob: a flyable reference with 399 nodes and one yaw node, 20,806 B."""
 
 from __future__ import annotations
 
@@ -17,9 +17,10 @@ _OMEGA = 0.8
 
 @lru_cache(maxsize=64)
 def reference_blob(vehicle: str, number: int, nodes: int = NODES) -> bytes:
-    """Return a reference as it travels, the same for the same number; each number has other bytes.
+    """Return the bytes of a reference that depends on `number`.
 
-    A lemniscate at 1.2 m that swings in and out gently, with a node every 0.1 s (at least 61) and one of yaw.
+    It is a lemniscate at 1.2 m with a gradual start and end, a node every 0.1 s (at least 61) and one yaw
+    node.
     """
     t = np.arange(nodes) * SPACING_S
     fine = np.arange((nodes - 1) * _FINE + 1) * SPACING_S / _FINE

@@ -1,13 +1,13 @@
-"""Uploads that are interrupted: the link is cut for 5 s, the host is killed, or the vehicle is reset.
+"""Interrupted uploads: the link is cut for 5 s, the host is killed, or the vehicle is reset.
 
-One trial is three uploads, interrupted alike at one instant drawn from the duration of the same upload left
-alone. Each is held against three things:
+A trial has three uploads, one for each interruption, at a time drawn from the duration of the undisturbed
+upload. Each must meet three conditions:
 
-- It ends, with the new blob live.
-- Whenever the vehicle's memory was written to, what is live is either the old blob or the new one, whole.
-- Nothing that arrived is sent again. With a cut or a reset that is every chunk that the vehicle held at the
-  instant and that the host knew of; what was still under way, or its status, is repeated. A host that was
-  killed knows nothing and asks first: for the next one it is every chunk that the vehicle held.
+- It ends with the new blob live.
+- After every write to the vehicle's memory, the live blob is either the complete old or the complete new one.
+- No received chunk is sent again. After a cut or a reset, this concerns every chunk that the vehicle held and
+  the host knew of; chunks or statuses in transit may be repeated. A restarted host asks first, so it concerns
+  every chunk that the vehicle held.
 """
 
 from __future__ import annotations
@@ -30,21 +30,21 @@ _CHANNEL = CHANNELS["upload"]
 
 
 class _Watch:
-    """What the host has sent since the interruption, and what it knows the vehicle to hold."""
+    """Chunks that the host has sent since the interruption, and those that it knows the vehicle holds."""
 
     def __init__(self) -> None:
         self.known: set[int] = set()
         self.sent: list[int] = []
 
-    def __call__(self, now_us: int, said: bool, message: Message) -> None:
-        if said and isinstance(message, UploadChunk):
+    def __call__(self, now_us: int, is_sent: bool, message: Message) -> None:
+        if is_sent and isinstance(message, UploadChunk):
             self.sent.append(message.index)
-        elif not said and isinstance(message, UploadStatus):
+        elif not is_sent and isinstance(message, UploadStatus):
             self.known |= {*range(message.base), *decode_bitmap(bytes(message.bitmap), message.base)}
 
 
 def interrupt(seed: int, number: int) -> dict[str, Any]:
-    """One trial as plain data: when it was interrupted, and for each interruption what came of it."""
+    """Run one trial, and return the time of the interruption and the result of each kind as plain data."""
     alone = _rig(seed, number, _CHANNEL, _Watch())
     alone.run(GIVE_UP_US)
     share = float(flight_generator(seed, number, Purpose.TURBULENCE).random())
@@ -56,7 +56,11 @@ def interrupt(seed: int, number: int) -> dict[str, Any]:
 
 
 def _interrupted(kind: str, seed: int, number: int, at_us: int) -> dict[str, Any]:
-    """held: chunks at the instant. resent: of those that count. seconds: from the interruption's end."""
+    """Run an interrupted upload and return its result.
+
+    `held` counts the chunks on board at the interruption, `resent` those sent again although they should not,
+    and `seconds` runs from the end of the interruption.
+    """
     radio, watch = _CHANNEL, _Watch()
     if kind == "cut":
         radio = radio.model_copy(update={"cuts_s": ((at_us * 1e-6, CUT_S),)})
@@ -89,7 +93,7 @@ def _rig(seed: int, number: int, radio: RadioSettings, watch: _Watch) -> UploadR
 
 
 def _run(rig: UploadRig, until_us: int) -> bool:
-    """Whether what is live was whole whenever memory had been written to."""
+    """Run to `until_us`. Return whether the live blob was complete after every write to memory."""
     flash, written = rig.vehicle.store.flash, -1
     while rig.now_us < until_us and not rig.sender.over:
         rig.step(until_us)

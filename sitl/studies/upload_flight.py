@@ -1,8 +1,7 @@
-"""Uploads in flight: a reference of 20.8 kB is sent while another is flown, host and vehicle in lock-step.
+"""Uploads in flight: a reference of 20.8 kB is sent while another is flown, in lock-step.
 
-Each flight is flown twice from the same seed, with the upload and without. What the upload costs is seen
-where the radios' frames leave: the slots that carry something of it, and how much later a pose leaves the
-ground radio than the same pose did without.
+Each flight is flown twice from the same seed, with and without the upload. Its cost is measured at the
+radios: the slots that carry a part of it, and the additional delay of each pose at the ground radio.
 """
 
 from __future__ import annotations
@@ -13,7 +12,7 @@ import tempfile
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.vehicle import load_vehicle
@@ -29,16 +28,14 @@ RADIOS: dict[str, dict[str, float]] = {
     "flight": {},
     "flight-loss": {"loss": LOSS, "burst_frames": 1.0 / (1.0 - LOSS)},
 }
-"""Settings that differ from the simulator's own: none; a tenth of the frames lost, each on its own."""
+"""Settings that differ from the simulator's defaults: none; 10 % independent loss."""
 _FIRST_NODES, _SWAP_NODE, _STEP_US = 81, 50, 10_000
 _UPLOAD = {one.id for one in (m.UploadBegin, m.UploadChunk, m.UploadStatus, m.UploadVerdict, m.UploadCommit)}
 _POSE_US = 10_000
 
 
 def references() -> tuple[Reference, Reference, int]:
-    """Return what is flown first, what takes over (20.8 kB, from the first one's path to rest), and when, in
-    us.
-    """
+    """Return the first reference, the second (20.8 kB), which continues it to rest, and the swap time, us."""
     first = Reference.from_bytes(reference_blob("research", 0, _FIRST_NODES))
     at_us = first.nodes[_SWAP_NODE].t_us
     nodes = [Node(node.t_us - at_us, node.state) for node in first.nodes[_SWAP_NODE:]]
@@ -49,7 +46,7 @@ def references() -> tuple[Reference, Reference, int]:
 
 
 class _Air:
-    """When each pose left first (by the number of its exposure), and frames with something of an upload."""
+    """Time at which each pose was first sent (by exposure number), and frames with a part of an upload."""
 
     def __init__(self) -> None:
         self.poses: dict[int, int] = {}
@@ -66,10 +63,10 @@ class _Air:
 
 
 def fly_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
-    """One flight, with upload and without, as plain data.
+    """Fly once with and once without the upload, and return plain data.
 
-    seconds: from the announcement to the agreement; None where the reference did not take over. slot_share:
-    of the slots in that time. mocap_delays_us: of every pose meanwhile, against the flight without.
+    `seconds` is the duration of the upload; None if the reference did not take over. `slot_share` is the
+    share of slots in that time. `mocap_delays_us` are the additional delays of the poses in that time.
     """
     first, then, at_us = references()
     result, air = _fly(channel, seed, number, first, then, at_us)
@@ -94,7 +91,7 @@ def _fly(
     vehicle = SimulatedVehicle.create(craft, world_seed=seed, flight=number, radio=RADIOS[channel])
     vehicle.watch_air(air)
     with tempfile.TemporaryDirectory() as folder:
-        order = FlightOrder(
+        request = FlightRequest(
             vehicle=craft, reference=first, log_path=Path(folder) / "flight.mcap", then=then, swap_us=at_us
         )
-        return fly_lockstep(order, vehicle), air
+        return fly_lockstep(request, vehicle), air

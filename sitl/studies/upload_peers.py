@@ -1,7 +1,7 @@
-"""How other ways of sending the same bytes do on the same air: one message at a time, each acknowledged.
+"""Duration of an upload by other protocols over the same link: one message at a time, each acknowledged.
 
-A model, not the rig: what counts is that one message is under way at a time. It takes the round trip of the
-link, its frames are lost with the channel's chance each way, and after a timeout it goes out again.
+This is a model, not the rig. Only one message is in transit at a time. It takes one round trip, its frames
+are lost with the channel's probability in each direction, and it is repeated after a timeout.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from trimtab.sitl.world import RadioSettings
 
 @dataclass(frozen=True, kw_only=True)
 class StopAndWait:
-    """A way of sending: bytes a message, radio frames a message takes, its acknowledgement's, timeout."""
+    """A stop-and-wait protocol: data bytes and radio frames of a message, and timeout."""
 
     data_bytes: int
     frames: int
@@ -29,13 +29,11 @@ PEERS = {
     ),
     "MAVLink FTP one by one": StopAndWait(data_bytes=239, frames=3, timeout_s=0.5),
 }
-"""A chunk a frame; and the file transfer of MAVLink: its message of 263 B takes three frames of 116 B, and on
-a radio with longer frames one.
-"""
+"""One chunk per frame; and MAVLink FTP, whose message of 263 B takes three frames of 116 B or a long one."""
 
 
 def peer_s(peer: StopAndWait, size: int, radio: RadioSettings, round_trip_s: float, seed: int) -> float:
-    """Seconds that `size` bytes take. Further frames of a message take a slot each; all must arrive."""
+    """Return the duration, s, for `size` bytes. All frames of a message must arrive; each takes a slot."""
     draw = random.Random(seed).random
     up, down = (BurstLoss(radio.loss, radio.burst_frames, radio.short_risk, draw) for _ in range(2))
     once_s = round_trip_s + (peer.frames - 1) * radio.slot_us * 1e-6

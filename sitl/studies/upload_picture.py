@@ -1,7 +1,7 @@
-"""The sequence picture of an upload: a simulated one over lossy air that is cut for a while, frame by frame.
+"""Sequence picture of a simulated upload over a lossy link with a cut.
 
-`python -m trimtab.sitl.studies.upload_picture FILE` writes it. Time runs downwards; every line is a frame in
-the air.
+`python -m trimtab.sitl.studies.upload_picture FILE` writes it. Time runs downwards; every line is a radio
+frame.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ _COLOURS = {"chunk": "#1d6f8a", "again": "#c8641b", "word": "#333333", "other": 
 
 @dataclass
 class Frame:
-    """A frame in the air: when it left, when it arrived (None: lost), what is in it."""
+    """A radio frame: time sent, time received (None: lost), and messages."""
 
     up: bool
     data: bytes
@@ -49,7 +49,7 @@ class Frame:
 
 
 class _Tap:
-    """A radio whose frames are written down."""
+    """A radio whose frames are recorded."""
 
     def __init__(self, radio: Radio, up: bool, frames: list[Frame]) -> None:
         self._radio, self._up, self._frames = radio, up, frames
@@ -73,7 +73,7 @@ class _Tap:
 
 
 def record(seed: int = SEED) -> tuple[list[Frame], int, tuple[int, int], int]:
-    """Return the frames of an upload, when it began, the cut's begin and end, and when it was over (us)."""
+    """Return the frames of an upload, its start, the start and end of the cut, and its end (us)."""
     frames: list[Frame] = []
     start_us = begin_us(seed, 0)
     cut_us = (start_us + CUT_AFTER_US, start_us + CUT_AFTER_US + CUT_US)
@@ -101,7 +101,7 @@ def record(seed: int = SEED) -> tuple[list[Frame], int, tuple[int, int], int]:
 
 
 def picture(seed: int = SEED) -> str:
-    """Return the SVG."""
+    """Return the picture as SVG."""
     frames, start_us, cut_us, end_us = record(seed)
 
     def y(t_us: int) -> float:
@@ -126,10 +126,10 @@ def picture(seed: int = SEED) -> str:
         _text(_VEHICLE_X, _TOP - 22, "vehicle", "middle", size=13),
         *_scale(y, start_us, end_us),
     ]  # fmt: skip
-    seen: set[int] = set()
+    sent_before: set[int] = set()
     labels: dict[bool, list[tuple[float, str, str]]] = {True: [], False: []}
     for frame in frames:
-        kind, label = _said(frame, seen)
+        kind, label = _described(frame, sent_before)
         at = y(frame.left_us)
         parts += _line(frame, kind, at, None if frame.arrived_us is None else y(frame.arrived_us))
         if label:
@@ -140,13 +140,13 @@ def picture(seed: int = SEED) -> str:
     return "\n".join(parts) + "\n"
 
 
-def _said(frame: Frame, seen: set[int]) -> tuple[str, str]:
-    """Kind and label of a frame; chunks that left before are marked."""
+def _described(frame: Frame, sent_before: set[int]) -> tuple[str, str]:
+    """Return kind and label of a frame; chunks that are sent again are marked."""
     words, kind = [], "other"
     for message in frame.messages:
         if isinstance(message, UploadChunk):
-            again = message.index in seen
-            seen.add(message.index)
+            again = message.index in sent_before
+            sent_before.add(message.index)
             kind = "again" if again else "chunk"
             words.append(f"chunk {message.index}{' again' if again else ''}")
         elif isinstance(message, UploadStatus):
@@ -185,7 +185,7 @@ def _line(frame: Frame, kind: str, y0: float, y1: float | None) -> Iterator[str]
 
 
 def _labels(labels: Sequence[tuple[float, str, str]], x: float, anchor: str) -> Iterator[str]:
-    """Labels one below the other; those that had to move are tied to their place."""
+    """Yield labels below each other. A line connects each label to its position."""
     last = -_ROW
     for at, label, colour in labels:
         y = max(at, last + _ROW)

@@ -1,9 +1,8 @@
-"""An upload in simulated time, all of its parts the real ones: sender, serial line, radio, air, radio, serial
-line, flight processor with receiver and store.
+"""Rig for uploads in simulated time with the real sender, serial lines, radios, channel, receiver and store.
 
-The vehicle stands on the floor. Its flight processor is whole but for the law, which has nothing to control
-and is left out, and it is ticked only when there is something to do: a byte, or a look every 10 ms. Host and
-processors act on whole milliseconds.
+The vehicle stands on the floor. Its flight processor is complete except for the control law, which is left
+out. It is ticked only when a byte arrives, or for its check every 10 ms. Host and processors act on whole
+milliseconds.
 """
 
 from __future__ import annotations
@@ -33,18 +32,18 @@ from trimtab.sitl.vehicle import HOST_RX_BYTES, HOST_TX_BYTES
 from trimtab.sitl.world import RadioSettings
 
 OFF_US = 300_000
-"""From the loss of power until the flight processor listens again."""
+"""Time from the loss of power until the flight processor receives again."""
 _GYRO, _FORCE, _VOLTS = (0.0, 0.0, 0.0), (0.0, 0.0, -9.80665), 16.0
 
 
 def begin_us(seed: int, number: int) -> int:
-    """When an upload begins, after power-up: any phase to the vehicle's own messages."""
+    """Return the start of an upload after power-up, with a random phase to the vehicle's messages."""
     phase = int(flight_generator(seed, number, Purpose.MOCAP).integers(100))
     return 250_000 + TICK_US * phase
 
 
 class AtRest:
-    """An engine in place of the law: its memory stays what it is, motors stand still."""
+    """An engine that replaces the control law: its memory stays constant, and the motors stand still."""
 
     def __init__(self) -> None:
         self.inputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in law.INPUTS}
@@ -52,12 +51,12 @@ class AtRest:
         self._memory, self._memory_out = self.inputs["memory"], self.outputs["memory"]
 
     def __call__(self) -> None:
-        """Pass the memory through."""
+        """Copy the memory from the inputs to the outputs."""
         self._memory_out[:] = self._memory
 
 
 def remembered(vehicle: Vehicle) -> Callable[..., Verdict]:
-    """`check_blob` of this vehicle with its parameters as they are, which finds each verdict once."""
+    """Return `check_blob` for this vehicle with constant parameters and a cache of verdicts."""
     values = ParameterValues(to_parameters(vehicle))
 
     @lru_cache(maxsize=64)
@@ -77,9 +76,9 @@ def _vehicle(name: str) -> tuple[Vehicle, Callable[..., Verdict]]:
 
 
 class VehicleEnd:
-    """Radio and flight processor of the vehicle, which may be reset; the store outlives that.
+    """Radio and flight processor of the vehicle. A reset keeps only the store.
 
-    The channel sees it as a radio. `store`: what it keeps; `resets`: how often it was reset.
+    It is a radio for the channel. `store` is the non-volatile memory, `resets` the number of resets.
     """
 
     def __init__(self, vehicle: str, store: ReferenceStore) -> None:
@@ -94,12 +93,12 @@ class VehicleEnd:
 
     @property
     def due_us(self) -> int:
-        """When it next has something to do."""
+        """Time of the next work."""
         due_us = min(self.radio.due_us, self.flight.uart.due_us, self._update_us)
         return due_us if due_us > self._on_us else self._on_us
 
     def reset(self, now_us: int) -> None:
-        """Cut the power: what the store does not hold is lost."""
+        """Cut the power. Everything outside the store is lost."""
         self.resets += 1
         self.store = ReferenceStore(Flash(self.store.flash.image))
         self._on_us = now_us + OFF_US
@@ -108,20 +107,20 @@ class VehicleEnd:
 
     @property
     def pose_waits(self) -> bool:
-        """Whether a pose waits for the air: a vehicle sends none."""
+        """Whether a pose waits to be sent: always False, because a vehicle sends none."""
         return False
 
     def air_send(self, now_us: int) -> bytes | None:
-        """Return the next frame for the air, None where there is none or no power."""
+        """Return the next frame to send; None if there is none or no power."""
         return self.radio.air_send(now_us) if now_us >= self._on_us else None
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
-        """Pass the frame to the radio; without power it is lost."""
+        """Pass the frame to the radio. Without power, it is lost."""
         if now_us >= self._on_us:
             self.radio.air_receive(frame, now_us)
 
     def tick(self, now_us: int) -> bool:
-        """Whether something waits for the air."""
+        """Tick radio and flight processor. Return whether a frame waits to be sent."""
         if now_us < self._on_us:
             return False
         waits = now_us >= self.radio.due_us and self.radio.tick(now_us)
@@ -149,18 +148,18 @@ class UploadRig:
     Parameters
     ----------
     seed, number
-        chance of the air, and the instant at which the upload begins.
+        Seed of the channel's random numbers and of the start of the upload.
     make_sender
-        makes the sender, also after the host was killed.
+        Makes the sender, also after the host was killed.
     on_message
-        is told of each message that the host says (True) or hears (False).
+        Called with the time, whether the host sends (True) or receives (False), and the message.
     tap
-        what the channel is given in place of a radio (the ground's: True), to watch its frames.
+        Returns a replacement for a radio (True: the ground's) that observes its frames.
 
-    `now_us` is the time since power-up, `begin_us` when the upload began.
+    `now_us` is the time since power-up, `begin_us` the start of the upload.
     """
 
-    def __init__(  # noqa: PLR0913 (one keyword for each choice)
+    def __init__(  # noqa: PLR0913 (one keyword for each option)
         self,
         blob: bytes,
         *,
@@ -170,7 +169,7 @@ class UploadRig:
         number: int,
         vehicle: str = "research",
         make_sender: Callable[[bytes], UploadSender] = lambda blob: UploadSender(blob, Kind.REFERENCE),
-        on_message: Callable[[int, bool, Message], None] = lambda now_us, said, message: None,
+        on_message: Callable[[int, bool, Message], None] = lambda now_us, is_sent, message: None,
         tap: Callable[[Radio, bool], Radio] = lambda radio, of_ground: radio,
     ) -> None:
         self.blob, self.old = blob, old
@@ -196,14 +195,14 @@ class UploadRig:
         self.start_host()
 
     def start_host(self) -> None:
-        """Start a host that knows only the blob; after a kill, the next one."""
+        """Start a new host that knows only the blob."""
         self.sender = self._make_sender(self.blob)
         self._codec = Codec(*HOST)
         self._deadline_us = max(self.now_us, self.begin_us)
 
     @property
     def live(self) -> bytes | None:
-        """What is live on board."""
+        """The live blob on board."""
         return self.vehicle.store.live(Kind.REFERENCE)
 
     def run(self, until_us: int) -> None:
@@ -212,7 +211,7 @@ class UploadRig:
             self.step(until_us)
 
     def step(self, until_us: int) -> None:
-        """Advance to the next instant at which something happens."""
+        """Advance to the time of the next work."""
         host_us = min(self._deadline_us, self._port.due_us)
         due_us = min(self.channel.due_us, self.ground.due_us, self.vehicle.due_us, host_us)
         due_us = -(-max(due_us, self.now_us + TICK_US) // TICK_US) * TICK_US

@@ -1,9 +1,9 @@
-"""Uploads over the air of the table of targets, many times: how long they take, and what the least is.
+"""Durations of many uploads over the channels of the table of targets, and their lower bound.
 
-The channel: 2 ms slots, and 4 ms from a slot's end to delivery, so that UPLOAD_BEGIN, which leaves as the
-first thing on a quiet link, is answered after about 20 ms (serial lines, ticks and slots included): 18 ms
-without jitter, mostly 22 ms with. Duplicates, damage and jitter are the simulator's own. Loss is of full
-frames, short ones fare better.
+The channel has 2 ms slots and 4 ms from the end of a slot to delivery. UPLOAD_BEGIN, sent first on an idle
+link, is therefore answered after about 20 ms, including serial lines, ticks and slots: 18 ms without jitter,
+mostly 22 ms with jitter. Duplicates, corruption and jitter are the simulator's defaults. Loss is that of full
+frames; short ones are lost less often.
 """
 
 from __future__ import annotations
@@ -28,27 +28,27 @@ CHANNELS = {
     "burst5": RadioSettings(loss=0.3, burst_frames=5.0, latency_us=LATENCY_US),
     "burst20": RadioSettings(loss=LOSS, burst_frames=20.0, latency_us=LATENCY_US),
 }
-"""No loss; each frame lost on its own (a Gilbert-Elliott chain whose next state does not depend on the last
-has spells of 1 / (1 - loss) frames); spells of 5; spells of 20.
+"""No loss; independent loss (a Gilbert-Elliott chain with independent states has bursts of 1 / (1 - loss)
+frames); bursts of 5; bursts of 20.
 """
 GIVE_UP_US = 120_000_000
 _BLOBS = 4
 
 
 def bound_s(size: int, radio: RadioSettings) -> float:
-    """Seconds that the chunks of a blob take at least in the mean: every slot holds one, lost ones again."""
+    """Return the least mean duration, s, of a blob's chunks: one in every slot, lost ones repeated."""
     return chunk_count(size) * radio.slot_us * 1e-6 / (1.0 - radio.loss)
 
 
 def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
-    """One upload as plain data: seconds from its first message to the word that the blob is live, frames.
+    """Run one upload and return plain data: seconds from its first message to the confirmation, and chunks.
 
-    seconds is None where it failed, or the blob is not what became live.
+    `seconds` is None if the upload failed or another blob became live.
     """
     answered: list[int] = []
 
-    def heard(now_us: int, said: bool, message: Any) -> None:
-        if not said and not answered and isinstance(message, UploadStatus):
+    def on_message(now_us: int, is_sent: bool, message: Any) -> None:
+        if not is_sent and not answered and isinstance(message, UploadStatus):
             answered.append(now_us)
 
     rig = UploadRig(
@@ -57,7 +57,7 @@ def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
         radio=CHANNELS[channel],
         seed=seed,
         number=number,
-        on_message=heard,
+        on_message=on_message,
     )
     rig.run(GIVE_UP_US)
     whole = rig.sender.state is SenderState.DONE and rig.live == rig.blob
@@ -74,7 +74,7 @@ def percentile(values: Iterable[float], share: float) -> float:
 
 
 def figures(rows: Sequence[Mapping[str, Any]]) -> dict[str, float | int | None]:
-    """Of uploads: how many, how many failed, seconds in the mean, median, 99th percentile and at most."""
+    """Return runs and failures, and the mean, median, 99th percentile and maximum of the seconds."""
     times = [row["seconds"] for row in rows if row["seconds"] is not None]
     failed = len(rows) - len(times)
     if failed or not times:

@@ -1,7 +1,7 @@
-"""Which worlds a blind study flies: classes in the proportions of the full study, kinds in rotation.
+"""The worlds of a blind study: classes in the proportions of the full study, kinds in rotation.
 
-Everything comes from the study's seed and the simulator's own list of kinds; sizes and tolerances are then
-drawn by the world itself from its seed.
+They depend on the study's seed and the simulator's list of kinds. Sizes and tolerances are then drawn from
+the seed of each world.
 """
 
 from __future__ import annotations
@@ -27,7 +27,7 @@ SIZE = (0.5, 2.0)
 """Least and greatest multiple of the typical size."""
 
 CALM = (0.5, 2.0)
-"""Least and greatest multiple of the usual turbulence."""
+"""Least and greatest multiple of the nominal turbulence."""
 
 THIN = (
     "one flight",
@@ -39,18 +39,15 @@ THIN = (
     "three seconds",
     "constant hover",
 )
-"""What data of a thin world lack, in rotation."""
+"""Kinds of thin data, in rotation."""
 
 SAME_RATIO = frozenset({"mass", "thrust-gain", "inertia"})
-"""Kinds of which only ratios show in flight: no two of them make a pair."""
+"""Kinds of which flights show only ratios; no two of them make a pair."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedWorld:
-    """One world of a study: its name in the study, what it is drawn from, and its seed.
-
-    `case` says how the data of a thin world are thin.
-    """
+    """One world of a study. `case` is the kind of thin data, if any."""
 
     name: str
     kind_class: Class
@@ -61,11 +58,11 @@ class PlannedWorld:
 
     @property
     def is_measured(self) -> bool:
-        """Whether a verdict's numbers are compared: the world holds what the library has a form of."""
+        """Whether parameters are compared: all effects of the world are in the library."""
         return self.kind_class in ("single", "pair")
 
     def toml(self, *, still: bool = False) -> str:
-        """Return the world file; `still`: the same world in still air, seen by perfect sensors."""
+        """Return the world file; with `still`, the same world in still air with perfect sensors."""
         usual, strength = Turbulence(), 0.0 if still else self.turbulence
         lines = [
             'description = "A world of a blind study"',
@@ -92,28 +89,28 @@ class PlannedWorld:
 
 
 def split(count: int) -> dict[Class, int]:
-    """Worlds of each class out of `count`: the full study's proportions by largest remainder, one at least.
+    """Return the number of worlds of each class: the full study's proportions, at least one each.
 
-    Raises StudyError below one each.
+    Rounds by largest remainder. Raises StudyError if there are fewer worlds than classes.
     """
     if count < len(FULL):
-        raise StudyError(f"--worlds {count} is fewer than the {len(FULL)} classes, give {len(FULL)} or more")
+        raise StudyError(f"--worlds {count} is fewer than the {len(FULL)} classes; give {len(FULL)} or more")
     whole = sum(FULL.values())
     shares: dict[Class, float] = {name: count * full / whole for name, full in FULL.items()}
     parts: dict[Class, int] = {name: max(1, math.floor(share)) for name, share in shares.items()}
     for name in sorted(shares, key=lambda name: parts[name] - shares[name])[: count - sum(parts.values())]:
         parts[name] += 1
-    while sum(parts.values()) > count:  # the least classes were raised to one
+    while sum(parts.values()) > count:  # small classes were raised to one
         parts[max(parts, key=lambda name: parts[name] - shares[name] if parts[name] > 1 else -1.0)] -= 1
     return parts
 
 
 def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[PlannedWorld]:
-    """Return the `count` worlds of a seed, shuffled; `library` names the effects that the host has a form of.
+    """Return the `count` worlds of a seed, shuffled; `library` holds the names of the host's effects.
 
-    A kind outside the library by its own word is an outside one; one in the library is drawn alone (wind
-    never: it acts through a drag), for thin data too, and in pairs. Raises StudyError for fewer worlds than
-    classes.
+    Kinds marked as outside make worlds outside the library. Kinds in the library are drawn alone, also for
+    thin data, and in pairs; wind is never alone, because it acts through a drag. Raises StudyError if there
+    are fewer worlds than classes.
     """
     parts = split(count)
     rng = np.random.default_rng([seed, 0])
@@ -148,18 +145,18 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
 
 
 def world_seed(seed: int, index: int) -> int:
-    """Return the seed of a study's world: 48 bits that show neither the study's seed nor the index."""
+    """Return the seed of a world: 48 bits that reveal neither the study's seed nor the index."""
     return int.from_bytes(hashlib.sha256(f"blind study {seed} world {index}".encode()).digest()[:6], "big")
 
 
 def _rotation(names: Sequence[str], count: int, rng: np.random.Generator) -> list[str]:
-    """`count` of the names, each as often as any other but for one, in drawn order."""
+    """Return `count` of the names in drawn order, in turn, so that their numbers differ by at most one."""
     order = [names[int(i)] for i in rng.permutation(len(names))]
     return [order[i % len(order)] for i in range(count)]
 
 
 def _pairs(names: Sequence[str], count: int, rng: np.random.Generator) -> list[tuple[str, ...]]:
-    """`count` drawn pairs that differ in flight, none again before all were there; wind with a drag."""
+    """Return `count` drawn pairs of distinguishable kinds, wind only with a drag; repeats come last."""
     good = [pair for pair in combinations(names, 2) if not set(pair) <= SAME_RATIO]
     good = [pair for pair in good if "wind" not in pair or set(pair) & set(DRAG)]
     picked: list[tuple[str, ...]] = []

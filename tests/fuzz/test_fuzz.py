@@ -179,7 +179,7 @@ def test_host_that_answers_to_noise_is_found(monkeypatch: pytest.MonkeyPatch) ->
 
     before = Client.receive
     monkeypatch.setattr(Client, "receive", receive)
-    assert "not in the state" in _crashes("host-recording").crashes[0].error
+    assert "state differs" in _crashes("host-recording").crashes[0].error
 
 
 def test_long_messages_leave_the_ground_radio_in_pieces() -> None:

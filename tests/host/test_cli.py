@@ -69,8 +69,8 @@ def test_help_imports_no_verb_and_nothing_heavy() -> None:
         ("demo", "trimtab-demo in the workspace"),
         ("learn", "[default: learned.model.toml]"),
         ("trace", "Without it, no file is written"),
-        ("log recover", "LOG.recovered.mcap by default"),
-        ("log export", "LOG.csv by default"),
+        ("log recover", "Default: LOG.recovered.mcap"),
+        ("log export", "Default: LOG.csv"),
     ],
 )
 def test_help_says_what_is_written_without_output(
@@ -107,7 +107,7 @@ def test_every_listed_verb_answers_help(capsys: pytest.CaptureFixture[str]) -> N
         (GateMissed("low"), 1),
         (FlightFailed("failsafe"), 1),
         (UsageError("bad"), 2),
-        (ConfigurationError(["v.toml: mass_kg: missing, add it"]), 2),
+        (ConfigurationError(["v.toml: mass_kg: missing; add it"]), 2),
         (LinkError("no vehicle"), 3),
         (SolverError("gave up"), 4),
         (LogError("cut"), 5),
@@ -134,13 +134,13 @@ def test_every_problem_of_a_file_is_its_own_line(
     verb: Callable[[Callable[..., object]], None], capsys: pytest.CaptureFixture[str]
 ) -> None:
     def command() -> None:
-        raise ConfigurationError(["v.toml: a: missing, add it", "v.toml: b: unknown key, remove it"])
+        raise ConfigurationError(["v.toml: a: missing; add it", "v.toml: b: unknown key; remove it"])
 
     verb(command)
     assert cli.main(["probe"]) == 2
     assert capsys.readouterr().err.splitlines() == [
-        "trimtab: v.toml: a: missing, add it",
-        "trimtab: v.toml: b: unknown key, remove it",
+        "trimtab: v.toml: a: missing; add it",
+        "trimtab: v.toml: b: unknown key; remove it",
     ]
 
 
@@ -159,7 +159,7 @@ def test_bug_is_one_line_that_names_a_file_with_the_traceback(
     (line,) = capsys.readouterr().err.splitlines()
     (saved,) = tmp_path.iterdir()
     assert str(saved) in line
-    assert "a bug of ours: KeyError: 'lost'" in line
+    assert "a bug in trimtab: KeyError: 'lost'" in line
     assert 'raise KeyError("lost")' in saved.read_text()
 
 
@@ -223,7 +223,9 @@ def test_full_disk_is_the_users_and_not_a_bug(
     verb(command)
     with full_disk(1000):
         assert cli.main(["probe"]) == 2
-    assert capsys.readouterr().err == "trimtab: nothing more can be written: File too large, make room\n"
+    assert (
+        capsys.readouterr().err == "trimtab: nothing more can be written: File too large; free disk space\n"
+    )
 
 
 @pytest.mark.skipif(not Path("/dev/full").exists(), reason="no /dev/full here")
@@ -239,7 +241,7 @@ def test_stdout_that_is_full_is_one_line(words: list[str]) -> None:
             cwd=Path(__file__).parents[2],
         )
     assert done.returncode == 2
-    assert done.stderr == "trimtab: nothing more can be written: No space left on device, make room\n"
+    assert done.stderr == "trimtab: nothing more can be written: No space left on device; free disk space\n"
 
 
 def run_shell(line: str, folder: Path, **environment: str) -> subprocess.CompletedProcess[str]:

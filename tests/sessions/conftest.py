@@ -13,7 +13,7 @@ import pytest
 
 from trimtab.host import cli
 from trimtab.host.base import output
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class
@@ -121,7 +121,7 @@ def fly(
     def run(simulated: Any = None, **order: Any) -> FlightResult:
         order = {"vehicle": vehicle, "reference": reference, "log_path": tmp_path / "flight.mcap"} | order
         on_phase = order.pop("on_phase", None)
-        return fly_lockstep(FlightOrder(**order), simulated or simulate(), on_phase=on_phase)
+        return fly_lockstep(FlightRequest(**order), simulated or simulate(), on_phase=on_phase)
 
     return run
 
@@ -132,7 +132,7 @@ def flown(
 ) -> tuple[FlightResult, Flight]:
     """One flight in the empty world, for all tests that only look at what it left."""
     log = tmp_path_factory.mktemp("flown") / "flight.mcap"
-    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=log)
+    order = FlightRequest(vehicle=vehicle, reference=reference, log_path=log)
     result = fly_lockstep(order, vehicle_class().create(vehicle))
     return result, read_flight(log)
 

@@ -288,7 +288,7 @@ def test_cut_log_that_is_recovered_can_be_read(
     assert run("log", "recover", "cut.mcap")[0] == 0
     assert run("log", "info", "cut.recovered.mcap")[1]["recovered"]
     (tmp_path / "stub.mcap").write_bytes(content[:3000])
-    refused("log", "recover", "stub.mcap", code=5, parts=["nothing is left to recover; fly again"])
+    refused("log", "recover", "stub.mcap", code=5, parts=["nothing can be recovered; fly again"])
 
 
 def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
@@ -376,7 +376,7 @@ def test_flight_of_a_few_segments_is_too_little(refused: Refused, foreign: Calla
 
 def test_verbs_without_a_log_say_so(refused: Refused) -> None:
     for verb in ("trace", "learn"):
-        refused(verb, code=2, parts=["no log given, name one or more"])
+        refused(verb, code=2, parts=["no log given; name one or more"])
 
 
 # Outputs that are there already.
@@ -402,7 +402,7 @@ def test_output_that_exists_is_kept_unless_forced(
         ("log", "recover", "cut.mcap", "-o", "b.mcap"),
         ("sitl", "--port", "pty", "--truth", "truth.json"),
     ):
-        refused(*words, code=2, parts=["exists, choose another name or add --force"])
+        refused(*words, code=2, parts=["exists; choose another name or add --force"])
         refused(
             *(word.replace(".", "/no/", 1) if word == words[-1] else word for word in words), code=2, parts=[]
         )
@@ -419,7 +419,7 @@ def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, t
 
 @pytest.mark.parametrize("verb", ["trace", "learn"])
 def test_option_that_names_no_log_is_refused(refused: Refused, log: str, verb: str) -> None:
-    refused(verb, log, "--hold-out", code=2, parts=["--hold-out names no log, give one or more"])
+    refused(verb, log, "--hold-out", code=2, parts=["--hold-out names no log; give one or more"])
 
 
 def test_workspace_with_a_file_for_a_folder_is_refused(refused: Refused, tmp_path: Path) -> None:
@@ -440,10 +440,10 @@ def test_time_given_two_ways_is_refused(refused: Refused) -> None:
     [
         (("--report", "p.ref"), "p.ref: a report's name ends in .html"),
         (("--pareto",), "--pareto needs --model"),
-        (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "goes without --output where no --world"),
-        (("--pareto", "--model", "drag.model.toml", "--stretch"), "goes without --stretch"),
-        (("--world", "quiet"), "--world goes with --pareto"),
-        (("--pareto", "--model", "drag.model.toml", "--world-seed", "3"), "--world-seed goes with --world"),
+        (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "without --world does not take --output"),
+        (("--pareto", "--model", "drag.model.toml", "--stretch"), "does not take --stretch"),
+        (("--world", "quiet"), "--world needs --pareto"),
+        (("--pareto", "--model", "drag.model.toml", "--world-seed", "3"), "--world-seed needs --world"),
         (("--pareto", "--model", "drag.model.toml", "--world", "nosuch"), "nosuch: no such world"),
         (
             ("--pareto", "--model", "drag.model.toml", "--world", "quiet", "-o", "drag.model.toml"),
@@ -485,7 +485,7 @@ def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])
     refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
     refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file, give a folder"])
-    refused("demo", "-o", ".", code=2, parts=["holds files, choose another folder or add --force"])
+    refused("demo", "-o", ".", code=2, parts=["is not empty; choose another folder or add --force"])
     refused("demo", "--vehicle", "none", code=2, parts=["none: no such vehicle"])
 
 
@@ -547,7 +547,7 @@ def test_port_with_something_else_is_no_vehicle(
 ) -> None:
     noise = random.Random(3)
     with speaking(terminal[0], lambda: noise.randbytes(200)):
-        refused(*fly_words(terminal[1]), code=3, parts=["bytes of something else", "check port and baud"])
+        refused(*fly_words(terminal[1]), code=3, parts=["bytes that are not MAVLink", "check port and baud"])
 
 
 def heartbeat(autopilot: int, custom_mode: int) -> bytes:
@@ -566,7 +566,7 @@ def heartbeat(autopilot: int, custom_mode: int) -> bytes:
             ),
             [f"speaks version {m.DIALECT_VERSION + 1} of the dialect", "bring both to the same release"],
         ),
-        (heartbeat(3, 0), ["a MAVLink vehicle, but none that speaks Trimtab's dialect"]),
+        (heartbeat(3, 0), ["this MAVLink vehicle does not speak Trimtab's dialect"]),
     ],
     ids=["another version", "another make"],
 )
@@ -597,7 +597,7 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
     assert process.stdout is not None
     try:
         port = process.stdout.readline().strip()
-        wanted = f"the reference is for the research ({vehicle.id}); plan anew with --vehicle nano, or check"
+        wanted = f"the reference is for the research ({vehicle.id}); plan again with --vehicle nano, or check"
         refused("upload", ref, "--port", port, code=2, parts=[f"{port} is the nano (", wanted])
         refused(*fly_words(port), code=2, parts=[f"{port} is the nano (", wanted])
     finally:
@@ -606,7 +606,7 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
 
 
 def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
-    refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "choose pty"])
+    refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "give pty"])
     for place in (("nan", "0"), ("0", "inf")):
         refused("sitl", "--port", "pty", "--start", *place, code=2, parts=["--start", "two numbers in m"])
     outside = ["--start 0 -10.5: east -10.5 m is outside the fence of research, give -10 to 10"]

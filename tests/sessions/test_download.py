@@ -63,7 +63,7 @@ def test_bytes_that_make_another_id_are_refused(
     damaged = bytearray(reference.to_bytes())
     damaged[100] ^= 1
     monkeypatch.setattr(board.store, "live", lambda kind: bytes(damaged))
-    with pytest.raises(LinkError, match=f"reference {reference.id} was read as"):
+    with pytest.raises(LinkError, match=f"reference {reference.id} received"):
         download_lockstep("reference", board)
 
 
@@ -112,5 +112,5 @@ def test_download_does_not_overwrite(tmp_path: Path, capsys: pytest.CaptureFixtu
     target = tmp_path / "there.ref"
     target.write_text("mine")
     assert cli.main(["download", "reference", "--port", "/dev/null", "-o", str(target)]) == 2
-    assert "exists, choose another name or add --force" in capsys.readouterr().err
+    assert "exists; choose another name or add --force" in capsys.readouterr().err
     assert target.read_text() == "mine"

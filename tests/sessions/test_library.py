@@ -15,7 +15,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, read_flight
@@ -147,7 +147,7 @@ def fly(case: Case, planned: Plan, folder: Path) -> list[Flight]:
         simulated = vehicle_class().create(
             case.vehicle, world=str(world), world_seed=WORLD_SEED, flight=index, start_ned=(north, east, 0.0)
         )
-        fly_lockstep(FlightOrder(vehicle=case.vehicle, reference=reference, log_path=log), simulated)
+        fly_lockstep(FlightRequest(vehicle=case.vehicle, reference=reference, log_path=log), simulated)
         flights.append(read_flight(log))
     return flights
 

@@ -17,14 +17,14 @@ from trimtab.host.base.errors import LinkError, Refused, UsageError
 from trimtab.host.link import fly as fly_module
 from trimtab.host.link.drivers import run_lockstep
 from trimtab.host.link.flight import FlightDirector
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
 from trimtab.host.link.parameter_tasks import SetParameter
 from trimtab.host.link.session import Session
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.tasks import FreshStatus
 from trimtab.host.link.upload import upload_lockstep
-from trimtab.host.link.whose import neutral_feedforward
+from trimtab.host.link.vehicle_match import neutral_feedforward
 from trimtab.host.log import Flight, LogError, describe, read_flight, recover, topics
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at
@@ -219,7 +219,7 @@ def test_session_with_another_vehicle_is_refused_before_anything_is_written(
 
 def test_order_for_another_vehicle_than_the_references_is_refused(reference: Reference) -> None:
     with pytest.raises(UsageError, match="was made for vehicle"):
-        FlightOrder(vehicle=load_vehicle("nano"), reference=reference, log_path=Path("x.mcap"))
+        FlightRequest(vehicle=load_vehicle("nano"), reference=reference, log_path=Path("x.mcap"))
 
 
 def test_session_with_other_parameters_on_board_needs_as_flashed(
@@ -234,7 +234,7 @@ def test_session_with_other_parameters_on_board_needs_as_flashed(
     run_lockstep(session, simulated)
     assert session.error is None
     simulated.power_cycle(0)
-    with pytest.raises(UsageError, match=r"POS_P_N is 5\.5.*name the vehicle file.*--as-flashed"):
+    with pytest.raises(UsageError, match=r"POS_P_N is 5\.5.*give the vehicle file.*--as-flashed"):
         fly(simulated)
     assert not list(tmp_path.iterdir())
     simulated.power_cycle(0)
@@ -278,7 +278,7 @@ def test_session_reference_refused_on_board_names_node_and_reason(
 
 
 def test_session_without_upload_needs_the_reference_on_board(fly: Fly, tmp_path: Path) -> None:
-    with pytest.raises(UsageError, match=r"live on board is none.*trimtab upload"):
+    with pytest.raises(UsageError, match=r"on board is none.*trimtab upload"):
         fly(upload=False)
     assert not list(tmp_path.iterdir())
 
@@ -402,7 +402,7 @@ def test_session_whose_link_stays_away_is_given_up_with_its_log_kept(
     fly: Fly, simulate: Simulate, world_file: Callable[[str], str], tmp_path: Path
 ) -> None:
     simulated = simulate(world=world_file("[radio]\ncuts_s = [[6.0, 900.0]]\n"))
-    with pytest.raises(LinkError, match=r"silent for 30 s.*the log up to there is .*flight\.mcap"):
+    with pytest.raises(LinkError, match=r"silent for 30 s.*the log up to this point is .*flight\.mcap"):
         fly(simulated)
     flight = read_flight(tmp_path / "flight.mcap")
     assert flight.mocap is not None
@@ -483,7 +483,7 @@ def test_session_interrupted_with_a_director_lands_first(
             os.kill(os.getpid(), again)
 
     director = FlightDirector(
-        FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap"), press
+        FlightRequest(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap"), press
     )
     run_lockstep(director.session, simulate(), interrupt=director.interrupt)
     director.close()
@@ -507,7 +507,7 @@ def test_session_interrupted_twice_leaves_the_vehicle_to_its_failsafe(
         if phase in ("tracking", "landing"):
             os.kill(os.getpid(), signal.SIGINT)
 
-    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
+    order = FlightRequest(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
     simulated = simulate()
     with pytest.raises(FlightInterrupted, match=r"left to its failsafe; its log is .*x\.mcap") as caught:
         fly_lockstep(order, simulated, realtime=True, on_phase=press)
@@ -555,7 +555,7 @@ def test_session_interrupted_again_while_its_log_is_closed_keeps_log_and_answer(
     monkeypatch.setattr(
         fly_module, "run_port", lambda session, line, cameras, **how: run_lockstep(session, line, **how)
     )
-    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
+    order = FlightRequest(vehicle=vehicle, reference=reference, log_path=tmp_path / "x.mcap")
 
     def flight() -> FlightResult:
         if at_a_port:
@@ -615,7 +615,7 @@ def test_session_that_loses_log_and_link_names_no_log(
 
     with full_disk(200_000), pytest.raises(LinkError) as caught:
         fly(simulated, on_phase=cut)
-    assert "the log up to there" not in str(caught.value)
+    assert "the log up to this point" not in str(caught.value)
 
 
 def test_session_whose_log_cannot_be_begun_stays_on_the_floor(
@@ -642,7 +642,7 @@ def test_fly_lockstep_leaves_the_vehicle_open(
 ) -> None:
     simulated = simulate()
     for k in range(2):
-        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / f"{k}.mcap")
+        order = FlightRequest(vehicle=vehicle, reference=reference, log_path=tmp_path / f"{k}.mcap")
         fly_lockstep(order, simulated)
         simulated.power_cycle(k + 1)
     logs = [read_flight(tmp_path / f"{k}.mcap") for k in range(2)]
@@ -659,7 +659,7 @@ def test_fly_lockstep_leaves_the_collector_as_it_was(
     frozen: bool,
 ) -> None:
     simulated = simulate(world=world_file("[mocap]\ngaps_s = [[0.0, 60.0]]\n"))
-    order = FlightOrder(vehicle=vehicle, reference=reference, log_path=tmp_path / "flight.mcap")
+    order = FlightRequest(vehicle=vehicle, reference=reference, log_path=tmp_path / "flight.mcap")
     inside = []
     try:
         if frozen:

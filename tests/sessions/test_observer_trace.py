@@ -10,7 +10,7 @@ from typing import Any
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.data.signals import FlightData
@@ -42,7 +42,7 @@ def flights(
         world, logs = world_file(text), []
         for index, (duration_s, size_m) in enumerate((*LEARNING, HELD_OUT)):
             log = tmp_path / f"{gain:g}-{index}.mcap"
-            order = FlightOrder(
+            order = FlightRequest(
                 vehicle=vehicle,
                 reference=figure_eight(vehicle, duration_s=duration_s, size_m=size_m),
                 log_path=log,

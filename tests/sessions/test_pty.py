@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_port
 from trimtab.host.link.upload import upload_port
 from trimtab.host.log import read_flight
@@ -60,7 +60,7 @@ def test_pty_flight_after_upload_tracks_and_logs(
         assert uploaded.id == reference.id
         again = upload_port(reference, port)  # it is live already: only the question goes out
         assert again.frames_sent < 10
-        order = FlightOrder(
+        order = FlightRequest(
             vehicle=vehicle,
             reference=reference,
             log_path=tmp_path / "pty.mcap",
@@ -85,7 +85,7 @@ def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
 ) -> None:
     with served("--port", "pty", "--mocap", mocap_url, "--world", "lossy-link") as (port, end):
         upload_port(reference, port)
-        order = FlightOrder(
+        order = FlightRequest(
             vehicle=vehicle,
             reference=reference,
             log_path=tmp_path / "lossy.mcap",

@@ -170,5 +170,5 @@ def test_then_that_does_not_go_on_is_refused_before_the_flight(
     for at in ("nan", "inf", "1e308"):
         assert cli.main(["fly", "a.ref", "--then", "b.ref", "--at", at]) == 2
         (line,) = capsys.readouterr().err.splitlines()
-        assert "is no time, give seconds of the first reference" in line
+        assert "is not a time; give seconds of the first reference" in line
     assert cli.main(["fly", "a.ref", "--at", "3"]) == 2

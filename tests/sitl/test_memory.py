@@ -42,7 +42,7 @@ def test_simulated_vehicle_lets_go_of_the_file_when_closed(tmp_path: Path) -> No
     path = tmp_path / "vehicle.memory"
     simulated = SimulatedVehicle.create(VEHICLE, memory=path)
     simulated.store.stage(Kind.REFERENCE, b"one")
-    with pytest.raises(ConfigurationError, match="in use by another vehicle"):
+    with pytest.raises(ConfigurationError, match="in use by another simulated vehicle"):
         SimulatedVehicle.create(VEHICLE, memory=path)
     simulated.power_cycle(1)
     simulated.close()
@@ -63,7 +63,7 @@ def test_file_that_is_no_memory_is_refused_and_left_as_it_is(tmp_path: Path) -> 
     for content in (b"", b"notes", bytes(memory_bytes()), MAGIC, MAGIC + bytes(memory_bytes())):
         path = tmp_path / "file"
         path.write_bytes(content)
-        with pytest.raises(ConfigurationError, match=r"file: no memory of this version"):
+        with pytest.raises(ConfigurationError, match=r"file: not a memory of this version"):
             open_memory(path, VEHICLE)
         assert path.read_bytes() == content
 
@@ -77,7 +77,7 @@ def test_path_that_cannot_hold_a_memory_is_refused(tmp_path: Path) -> None:
         ("none/file", "No such file or directory"),
         ("file/below", "Not a directory"),
         ("loop", "symbolic links"),
-        ("pipe", "no ordinary file"),
+        ("pipe", "not a regular file"),
     ):
         with pytest.raises(ConfigurationError, match=why):
             open_memory(tmp_path / name, VEHICLE)

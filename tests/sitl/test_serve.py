@@ -285,7 +285,7 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
 @pytest.mark.parametrize(
     ("port", "mocap", "told"),
     [
-        ("serial:/dev/null", None, "choose pty, tcp:HOST:PORT or udp:HOST:PORT"),
+        ("serial:/dev/null", None, "give pty, tcp:HOST:PORT or udp:HOST:PORT"),
         ("tcp:5760", None, "needs HOST:PORT"),
         ("tcp:127.0.0.1:\N{SUPERSCRIPT TWO}", None, "needs HOST:PORT"),
         ("udp:127.0.0.1:notaport", None, "needs HOST:PORT"),
@@ -293,8 +293,8 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
         ("pty", "udp://127.0.0.1", "needs HOST:PORT"),
         ("pty", "udp://127.0.0.1:0", "a port number of 1 to 65535"),
         ("pty", "udp://no.such.host.invalid:5", "cannot be reached, .*; check the address"),
-        ("tcp:192.0.2.1:0", None, "no address of this machine, give 127.0.0.1"),
-        ("udp:no.such.host.invalid:0", None, "no address of this machine, give 127.0.0.1"),
+        ("tcp:192.0.2.1:0", None, "not an address of this machine; give 127.0.0.1"),
+        ("udp:no.such.host.invalid:0", None, "not an address of this machine; give 127.0.0.1"),
         ("pty", "udp://[::1:5", "give it as udp://HOST:PORT"),
     ],
 )
@@ -307,5 +307,5 @@ def test_port_that_cannot_be_served_is_refused(port: str, mocap: str | None, tol
 def test_port_that_is_taken_is_refused() -> None:
     with socket.create_server(("127.0.0.1", 0)) as taken:
         port = f"tcp:127.0.0.1:{taken.getsockname()[1]}"
-        with pytest.raises(ports.ServeError, match="in use by another program, close that or choose"):
+        with pytest.raises(ports.ServeError, match="in use by another program; close that program or choose"):
             server.serve(Echo(), port=port, stop=lambda: True)

@@ -44,7 +44,7 @@ def test_world_with_many_mistakes_is_told_all_of_them(tmp_path: Path) -> None:
     told = "\n".join(caught.value.problems)
     for part in (
         "description: 3", "tolerances: missing", "effects.wind.wy: missing", "effects.wind.wz: unknown",
-        "effects.linear-drags: unknown key, did you mean linear-drag?", "radio.loss: 2.0", "foo: unknown",
+        "effects.linear-drags: unknown key; did you mean linear-drag?", "radio.loss: 2.0", "foo: unknown",
         "draw.kinds: unknown lineardrag",
     ):  # fmt: skip
         assert part in told
@@ -73,19 +73,19 @@ def test_wrong_keys_of_a_world_do_not_hide_contradictions_elsewhere(tmp_path: Pa
         ('[draw]\ncount = [2, 3]\nkinds = ["motor-lag"]', "count"),
         ("[effects.motor-lag]\nextra_s = 0.01\n[draw]\ncount = [1, 1]", "both in effects and in draw.kinds"),
         ("[mocap]\nrate_hz = 160", "does not divide"),
-        ("[mocap]\nrate_hz = 500", "rate_hz: 500 is out of range, give a value at most 250"),
-        ("[radio]\nslot_us = 2500", "whole number"),
-        ("[radio]\nslot_us = 4000", "radio.slot_us: 4000 is out of range, give a value at most 3000"),
+        ("[mocap]\nrate_hz = 500", "rate_hz: 500 is out of range; give a value at most 250"),
+        ("[radio]\nslot_us = 2500", "multiple of the tick"),
+        ("[radio]\nslot_us = 4000", "radio.slot_us: 4000 is out of range; give a value at most 3000"),
         ("[radio]\nslot_us = 1000\nbit_rate = 850000", "a frame of 116 B takes 1711 us .* longer slot"),
-        ("[radio]\nbit_rate = 1000", "radio.bit_rate: 1000 is not possible, choose 850000 or 6800000"),
-        ("[radio]\nframe_bytes = 40", "radio.frame_bytes: 40 is out of range, give a value at least 64"),
+        ("[radio]\nbit_rate = 1000", "radio.bit_rate: 1000 is not possible; choose 850000 or 6800000"),
+        ("[radio]\nframe_bytes = 40", "radio.frame_bytes: 40 is out of range; give a value at least 64"),
         ("[radio]\nshort_risk = 2.0", "radio.short_risk"),
-        ("[serial]\nbaud = 9600", "serial.baud: 9600 is not possible, choose 921600 or 3000000"),
-        ("[serial]\nchunk_bytes = 0", "serial.chunk_bytes: 0 is out of range, give a value at least 1"),
-        ("[timing]\noverrun_us = 900", "timing.overrun_us: 900 is out of range, give a value above 1000"),
-        ("[timing]\noverrun = 0.9", "timing.overrun: 0.9 is out of range, give a value at most 0.5"),
-        ("[radio]\nloss = 0.9", "burst_frames: spells of 5 frames lose at most 0.8333 .* at least 9"),
-        ("[radio]\nloss = 0.6\nburst_frames = 1.0", "burst_frames: spells of 1 frames .* at least 1.5"),
+        ("[serial]\nbaud = 9600", "serial.baud: 9600 is not possible; choose 921600 or 3000000"),
+        ("[serial]\nchunk_bytes = 0", "serial.chunk_bytes: 0 is out of range; give a value at least 1"),
+        ("[timing]\noverrun_us = 900", "timing.overrun_us: 900 is out of range; give a value above 1000"),
+        ("[timing]\noverrun = 0.9", "timing.overrun: 0.9 is out of range; give a value at most 0.5"),
+        ("[radio]\nloss = 0.9", "burst_frames: bursts of 5 frames lose at most 0.8333 .* at least 9"),
+        ("[radio]\nloss = 0.6\nburst_frames = 1.0", "burst_frames: bursts of 1 frames .* at least 1.5"),
         ("[effects.linear-drag]\ndx = -1.0\ndy = 0.1\ndz = 0.1", "effects.linear-drag.dx"),
     ],
 )
@@ -220,7 +220,7 @@ def test_generators_of_different_purposes_do_not_repeat_each_other() -> None:
         flight_generator(1, flight, purpose).integers(2**62) for purpose in Purpose for flight in (0, 1)
     ]
     assert len(set(draws)) == len(draws)
-    with pytest.raises(ValueError, match="not negative"):
+    with pytest.raises(ValueError, match="must not be negative"):
         world_generator(-1, Purpose.KINDS)
 
 

@@ -1,1 +1,1 @@
-"""What this machine does in how long: learning beside named peers, and whole simulated sessions."""
+"""Benchmarks on this machine: learning and planning compared with other tools, and simulated sessions."""

@@ -1,9 +1,9 @@
-"""What a smaller residual is worth in flight: min-residual against min-snap and min-control.
+"""Effect of a smaller residual in flight: min-residual against min-snap and min-control.
 
-The comparison is that of `trimtab study paper-planning` (`apps.paper.planning.compare`), same draws
-and all: sealed worlds, in each a model learned from flights of its own, held-out courses with the same
-waypoints, time, limits and headroom for every kind, flown by the DFBC without feed-forward through firmware
-and radio.
+The comparison is the same as in `trimtab study paper-planning` (`apps.paper.planning.compare`), with the same
+draws. In each sealed world, a model is learned from flights in that world. Held-out courses have the same
+waypoints, time, limits and headroom for every kind, and the DFBC flies them without feed-forward through
+firmware and radio.
 """
 
 from __future__ import annotations
@@ -32,14 +32,14 @@ _FIGURES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Size:
-    """How many worlds, and courses flown in each."""
+    """Number of worlds, and of courses flown in each."""
 
     worlds: int = 5
     courses: int = 4
 
     @property
     def steps(self) -> int:
-        """How often `measure` tells of a step."""
+        """Number of calls of `on_progress`."""
         return self.worlds * (self.courses + 1)
 
 
@@ -53,10 +53,10 @@ def measure(
     *,
     size: Size | None = None,
 ) -> dict[str, Any]:
-    """Ratios, each a median over courses with the 95 % of bootstraps, and medians by kind.
+    """Return ratios, each a median over courses with a 95 % bootstrap interval, and medians by kind.
 
-    residual_ratio: of the mean predicted residual along the finished references, less that at rest, m/s^2.
-    on_progress: told `size.steps` times what begins.
+    `residual_ratio` is of the mean predicted residual along the references, less that at rest, m/s^2.
+    `on_progress` is called `size.steps` times, as each step begins.
     """
     size = size or Size()
     courses = []

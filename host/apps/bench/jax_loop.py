@@ -1,8 +1,8 @@
-"""phi with a network in the world's frame, written out in vectors for JAX: what the bench's peers integrate.
+"""The closed-loop model phi with a network in the world frame, vectorised for JAX: the peers integrate it.
 
-The law's own source is scalar; traced, XLA takes a minute to compile it and is sixty times slower than this.
-Only constants are read from phi; whoever uses this compares the results. Importing it sets JAX to double
-precision.
+The control law's source is scalar. XLA takes a minute to compile its trace, and the result is sixty times
+slower than this module. Only constants are read from phi; users of this module compare the results. Importing
+it sets JAX to double precision.
 """
 
 # pyright: reportMissingImports=false
@@ -37,9 +37,9 @@ _TINY = 1e-9
 
 
 class JaxLoop:
-    """The derivative of one segment's state; `jax.vmap` takes it over many.
+    """Derivative of the state of one segment; use `jax.vmap` for many segments.
 
-    Raises ValueError for a phi or a layout with parts that are not written here.
+    Raises ValueError for a phi or a layout with parts that this module does not implement.
     """
 
     def __init__(self, phi: Phi, layout: Layout) -> None:
@@ -117,7 +117,7 @@ class JaxLoop:
         return jnp.concatenate((v, a, angles_dot, rate_dot, thrust_dot, integral_dot))
 
     def _seen(self, p: Any, v: Any, a: Any, R: Any, flight: Any) -> tuple[Any, Any]:
-        """Position and velocity as fed back: off by the accelerometer's bias, and late."""
+        """Return position and velocity as fed back: with the accelerometer's bias, and delayed."""
         off_p, off_v = standing_errors(self._estimator, flight[4], flight[5])
         excess, delay = R @ flight[7:10], flight[6]
         v = v + off_v * excess
@@ -154,7 +154,7 @@ class JaxLoop:
         return collective, jnp.stack((rate_x, rate_y, rate_z)), error
 
     def _allocate(self, collective: Any, torque: Any) -> Any:
-        """Rotor thrusts (4,), N: `trimtab.firmware_model.law.allocation.allocate`."""
+        """Return rotor thrusts (4,), N, as `trimtab.firmware_model.law.allocation.allocate` does."""
         tilt, turn = self._roll * torque[0] + self._pitch * torque[1], self._yaw * torque[2]
         room = self._high.min() - self._low.max()
         tilt = tilt * jnp.minimum(room / jnp.maximum(jnp.max(tilt) - jnp.min(tilt), _TINY), 1.0)

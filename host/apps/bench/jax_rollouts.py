@@ -1,8 +1,8 @@
 """Roll-outs of segments and their loss in JAX, by RK4 in a scan and by diffrax.
 
-What makes them fast is used: of the forms of RK4 the fastest found, a scan over steps and in it one over
-stages that keeps only products of matrices for the way back; of diffrax constant steps, which leave the error
-estimate out, and a checkpoint for every step, as its documentation advises for speed.
+Both are tuned for speed. RK4 is the fastest form we found: a scan over steps and within it one over stages,
+which stores only matrix products for the backward pass. diffrax uses constant steps, without error estimate,
+and a checkpoint for every step, as its documentation advises for speed.
 """
 
 # pyright: reportMissingImports=false
@@ -36,9 +36,9 @@ def arrays_of(segments: Segments) -> tuple[Any, ...]:
 def loss_and_gradient(
     loop: JaxLoop, integrator: Integrator, *, step_s: float, weight: np.ndarray
 ) -> Callable[[Any, tuple[Any, ...]], Any]:
-    """(xi (m,), `arrays_of` segments) -> their loss and its gradient; compiled when first called.
+    """Return a function of (xi (m,), `arrays_of` segments): loss and gradient, compiled at its first call.
 
-    weight (12,): diagonal L of the loss (paper equation 3).
+    `weight` (12,) is the diagonal L of the loss (paper equation 3).
     """
     derivative = jax.vmap(loop.derivative, in_axes=(0, 0, 0, None))
 
@@ -73,7 +73,7 @@ def by_scan(rate: Rate, x0: Any, drive: Any, weights: Weights, step_s: float) ->
 
 
 def by_diffrax(solver: diffrax.AbstractSolver) -> Integrator:
-    """Another: a solver of diffrax at the same steps, the drive linear between its rows."""
+    """Return an `Integrator`: a diffrax solver with the same steps and a drive linear between its rows."""
 
     def integrate(rate: Rate, x0: Any, drive: Any, weights: Weights, step_s: float) -> Any:
         steps = len(drive) // 2
@@ -101,4 +101,4 @@ PEERS: dict[str, tuple[Integrator, bool]] = {
     "diffrax, Bosh3": (by_diffrax(diffrax.Bosh3()), False),
     "diffrax, Tsit5": (by_diffrax(diffrax.Tsit5()), False),
 }
-"""By name: how it integrates, and whether in the steps that ours takes."""
+"""Integrator by name, and whether it takes the same steps as ours."""

@@ -42,12 +42,12 @@ def measure(
     repeats: int = _REPEATS,
     counts: dict[str, int] | None = None,
 ) -> dict[str, Any]:
-    """Return times on one core, and the errors that the condensed loss ends at.
+    """Return times on one core, and the final errors of the condensed loss.
 
-    gradient_ms: of 10 segments of 49 steps, a network of 2 x 32, in C; None without a compiler.
-    gradient_vm_ms: the same in CasADi's virtual machine. peers: the same by JAX and diffrax, over_ours the
-    ratio to the best of ours; None where they are not installed. on_progress: told each of STEPS as it
-    begins. counts: flights by set.
+    `gradient_ms` is for 10 segments of 49 steps and a network of 2 x 32, in C; None without a compiler.
+    `gradient_vm_ms` is the same in CasADi's virtual machine. `peers` are the same by JAX and diffrax, with
+    `over_ours` the ratio to our best; None if they are not installed. `on_progress` is called with each of
+    STEPS as it begins. `counts` are flights by set.
     """
     on_progress(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)

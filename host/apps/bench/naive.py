@@ -1,7 +1,8 @@
-"""A shooting problem as CasADi is commonly used: one MX function of an interval, `map`, CasADi's derivatives.
+"""A shooting problem in the usual CasADi style: an MX function of an interval, `map`, CasADi's derivatives.
 
-The rigid body is an SX function, the network matrix products, RK4 calls both four times. Ipopt with MUMPS and
-the exact Hessian solves it. Unknowns, bounds, rows, weights and start are those of the given problem.
+The rigid body is an SX function, the network consists of matrix products, and RK4 calls both four times.
+Ipopt with MUMPS and the exact Hessian solves it. Unknowns, bounds, rows, weights and start are those of the
+given problem.
 """
 
 from __future__ import annotations
@@ -24,7 +25,7 @@ SOLVED = ("Solve_Succeeded", "Solved_To_Acceptable_Level")
 
 @dataclass(frozen=True, kw_only=True)
 class Ended:
-    """How a solve ended. build_s, solve_s: processor time, before the first iteration and from there on."""
+    """Result of a solve. build_s and solve_s: processor time before and from the first iteration."""
 
     solved: bool
     cost: float
@@ -42,7 +43,7 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
     interval = _interval(model)
     count = len(problem.leg_of)
     if problem.path_bounds[0].shape[0] != interval.size1_out(2):
-        raise ValueError("keep-out shapes are not written here")
+        raise ValueError("keep-out shapes are not supported here")
     x, u = ca.MX.sym("x", model.nx, count + 1), ca.MX.sym("u", model.nu, count)
     h = ca.MX.sym("h", problem.legs)
     step_s = (h[problem.leg_of.tolist()] * ca.DM(problem.h0_s)).T
@@ -67,7 +68,7 @@ def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: floa
 
 
 def ipopt(tolerance: float, most_s: float) -> dict[str, Any]:
-    """Options: silent, MUMPS, given up after `most_s` of processor time."""
+    """Return options for Ipopt: silent, MUMPS, at most `most_s` of processor time."""
     return {
         "print_time": False,
         "ipopt.print_level": 0,
@@ -80,9 +81,7 @@ def ipopt(tolerance: float, most_s: float) -> dict[str, Any]:
 
 @dataclass(frozen=True, kw_only=True)
 class Pieces:
-    """The problem in continuous time as MX-callable functions of (x, u, p): state's derivative, running cost,
-    path rows.
-    """
+    """The problem in continuous time as functions of (x, u, p): state derivative, running cost, path rows."""
 
     slope: ca.Function
     cost: ca.Function
@@ -112,7 +111,7 @@ def pieces(model: StageModel) -> Pieces:
 
 
 def _interval(model: StageModel) -> ca.Function:
-    """(x, u, step_s, p) -> x_next, cost, path."""
+    """Return the function of an interval: (x, u, step_s, p) -> x_next, cost, path."""
     parts = pieces(model)
     x, u, p = ca.MX.sym("x", model.nx), ca.MX.sym("u", model.nu), ca.MX.sym("p", model.np)
     step_s = ca.MX.sym("step_s")
@@ -126,7 +125,7 @@ def _interval(model: StageModel) -> ca.Function:
 
 
 def _given(model: StageModel, problem: Problem) -> dict[str, Array]:
-    """Start and bounds in the order of the unknowns and rows."""
+    """Return start and bounds in the order of the unknowns and rows."""
 
     def unknowns(x: Array, u: Array, h: Array | float) -> Array:
         steps = np.broadcast_to(np.asarray(h, dtype=float), (problem.legs,))

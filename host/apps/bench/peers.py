@@ -35,11 +35,10 @@ def measure(
     *,
     repeats: int,
 ) -> list[dict[str, Any]] | None:
-    """Return a row a peer: name, gradient_ms, build_s, differs (of its gradient from ours, over the greatest
-    entry).
+    """Return a row for each peer: name, gradient_ms, build_s, differs; None if JAX or diffrax is missing.
 
-    None where JAX or diffrax is not installed. weight (12,): of the loss. Raises ValueError where a gradient
-    is another one than ours, and for a phi or a layout that JAX does not have.
+    `differs` is the difference of its gradient from ours over the greatest entry. `weight` (12,) is that of
+    the loss. Raises ValueError if a gradient differs from ours, or for a phi or layout that is not in JAX.
     """
     if not installed():
         return None
@@ -60,20 +59,20 @@ def measure(
             build_s = perf_counter() - began
             differs = float(np.abs(gradient - ours.xi).max() / np.abs(ours.xi).max())
             if not differs <= (SAME if same_steps else CLOSE):
-                raise ValueError(f"{name} has another gradient, by {differs:.2g} of the greatest entry")
+                raise ValueError(f"{name}: the gradient differs by {differs:.2g} of the greatest entry")
             gradient_ms = best_ms(run, repeats=repeats)
             rows.append({"name": name, "gradient_ms": gradient_ms, "build_s": build_s, "differs": differs})
     return rows
 
 
 def installed() -> bool:
-    """Whether JAX and diffrax can be imported."""
+    """Return whether JAX and diffrax can be imported."""
     return all(importlib.util.find_spec(name) is not None for name in ("jax", "diffrax"))
 
 
 @contextmanager
 def _one_thread() -> Iterator[None]:
-    """JAX that starts inside it runs on the processor, on one thread."""
+    """Let JAX run on the processor with one thread, if it starts inside this context."""
     wanted = {"NPROC": "1", "JAX_PLATFORMS": "cpu"}
     before = {name: os.environ.get(name) for name in wanted}
     os.environ.update(wanted)

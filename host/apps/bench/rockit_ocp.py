@@ -25,22 +25,22 @@ _NONE = 1e20
 
 
 def installed() -> bool:
-    """Whether rockit can be imported."""
+    """Return whether rockit can be imported."""
     return importlib.util.find_spec("rockit") is not None
 
 
 def solve(model: StageModel, problem: Problem, *, tolerance: float, most_s: float) -> Ended:
     """Return the problem's local optimum from its start, given up after `most_s` of processor time.
 
-    Raises ValueError for a problem with keep-out shapes, and where a leg has no free step size of its own.
+    Raises ValueError for a problem with keep-out shapes, or if a leg does not have its own free step size.
     """
     import rockit  # pyright: ignore[reportMissingImports]
 
     parts = pieces(model)
     if problem.path_bounds[0].shape[0] != parts.path.size1_out(0):
-        raise ValueError("keep-out shapes are not written here")
+        raise ValueError("keep-out shapes are not supported here")
     if not problem.steps_free:
-        raise ValueError("only one free step size a leg is written here")
+        raise ValueError("only one free step size per leg is supported here")
     began = time.process_time()
     ocp = rockit.Ocp()
     ends: list[ca.MX] = []
@@ -100,7 +100,7 @@ def _add_leg(
 
 
 def _bound(stage: Any, rows: ca.MX, low: Array, high: Array) -> None:
-    """Bound the rows at the start of every interval; those without any bound are left out."""
+    """Bound the rows at the start of every interval, except those without a bound."""
     kept = np.flatnonzero((np.isfinite(low) | np.isfinite(high)).any(axis=1))
     if not len(kept):
         return

@@ -1,4 +1,4 @@
-"""A whole simulated session, radio and firmware included, against the clock."""
+"""Speed of a complete simulated session, with radio and firmware."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import tempfile
 from contextlib import closing
 from pathlib import Path
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.plan import plan
@@ -25,9 +25,9 @@ def realtime_factor(vehicle: Vehicle) -> float:
     with tempfile.TemporaryDirectory(prefix="trimtab-bench-") as folder:
         for flight in range(_FLIGHTS):
             simulated = vehicle_class().create(vehicle, flight=flight, start_ned=(north, east, 0.0))
-            order = FlightOrder(
+            request = FlightRequest(
                 vehicle=vehicle, reference=reference, log_path=Path(folder) / f"flight-{flight}.mcap"
             )
             with closing(simulated):
-                found.append(fly_lockstep(order, simulated).realtime_factor)
+                found.append(fly_lockstep(request, simulated).realtime_factor)
     return max(found)

@@ -1,10 +1,10 @@
-"""Where the time of a simulated session goes, without a compiler and with one.
+"""Time spent in the parts of a simulated session, with and without a compiler.
 
     python -m trimtab.host.apps.bench.session_parts
 
-A session is plant, two processors, two radios, the air, the host's client and the flight log, in lock-step.
-The figures are CPU time, each the least of ROUNDS runs that take turns, so that other work on the machine
-shows little. The total comes from runs without timers.
+A session consists of plant, flight processor, two radios, channel, the host's client and the flight log, in
+lock-step. The figures are CPU time, each the minimum of ROUNDS alternating runs, so that other work on the
+machine has little influence. The total comes from runs without timers.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from scipy.interpolate import make_interp_spline
 
 from trimtab.host.codegen import find_compiler
 from trimtab.host.codegen.compiler import ENGINE_VARIABLE
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.vehicle import vehicle_class
@@ -71,9 +71,9 @@ def run(*, timed: bool) -> tuple[float, int, dict[str, float]]:
     if timed:
         simulated.start_profile()
     with tempfile.TemporaryDirectory() as folder:
-        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=Path(folder) / "flight.mcap")
+        request = FlightRequest(vehicle=vehicle, reference=reference, log_path=Path(folder) / "flight.mcap")
         begin = time.process_time()
-        fly_lockstep(order, simulated)
+        fly_lockstep(request, simulated)
         spent = time.process_time() - begin
     return spent, simulated.now_us // 1000, simulated.profile()
 

@@ -1,4 +1,4 @@
-"""The spline of least snap by minsnap-trajectories: closed form, septics, jerk continuous, as ours is."""
+"""Minimum-snap spline by minsnap-trajectories: closed form, septic, with continuous jerk, as ours."""
 
 from __future__ import annotations
 
@@ -18,16 +18,16 @@ SAME = 1e-6
 
 
 def installed() -> bool:
-    """Whether minsnap-trajectories can be imported."""
+    """Return whether minsnap-trajectories can be imported."""
     return importlib.util.find_spec("minsnap_trajectories") is not None
 
 
 def measure(waypoints_ned: Array, durations_s: Array, *, repeats: int = 100) -> dict[str, Any] | None:
-    """Return the best time of both for the same waypoints (K, 3) and leg times (K - 1,): ms, ours_ms,
-    differs.
+    """Return the best times of both for waypoints (K, 3) and leg times (K - 1,): ms, ours_ms, differs.
 
-    differs: of position, velocity, acceleration and jerk at the waypoints, which fix the septics, each over
-    its greatest entry. None where the peer is not installed. Raises ValueError where its spline is another.
+    `differs` is the difference of position, velocity, acceleration and jerk at the waypoints, which determine
+    the septics, each over its greatest entry. Returns None if the peer is not installed. Raises ValueError if
+    its spline differs.
     """
     if not installed():
         return None
@@ -50,7 +50,7 @@ def measure(waypoints_ned: Array, durations_s: Array, *, repeats: int = 100) -> 
     wanted = ours.ends_ned.transpose(1, 0, 2)
     differs = float((np.abs(found - wanted).max(axis=(1, 2)) / np.abs(wanted).max(axis=(1, 2))).max())
     if not differs <= SAME:
-        raise ValueError(f"minsnap-trajectories has another spline, by {differs:.2g} of the greatest entry")
+        raise ValueError(f"minsnap-trajectories: the spline differs by {differs:.2g} of the greatest entry")
     return {
         "waypoints": last + 1,
         "ms": best_ms(run, repeats=repeats),

@@ -1,4 +1,4 @@
-"""The best of several runs: what a machine can do, not what else it was doing."""
+"""Best of several runs, which excludes the influence of other work on the machine."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from time import perf_counter
 
 
 def best_ms(run: Callable[[], object], *, repeats: int) -> float:
-    """Milliseconds of the fastest of `repeats` runs, after one that does not count."""
+    """Return the milliseconds of the fastest of `repeats` runs, after one warm-up run."""
     run()
     times = []
     for _ in range(repeats):

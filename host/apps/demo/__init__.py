@@ -1,1 +1,1 @@
-"""The demo: one pass through the loop, from a nominal plan to a plan corrected by the flights in between."""
+"""The demo: one complete cycle, from a nominal plan over flights and tracing to a corrected plan."""

@@ -1,4 +1,4 @@
-"""The traced effects as the law on board can apply them: a feed-forward block."""
+"""Feed-forward block that compensates the traced effects on board."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from trimtab.protocol.blobs import BLOCK_FIELDS, FeedForward
 def feedforward_of(
     model: Model, vehicle: Vehicle, effects: Mapping[str, Effect], voltage_ratio: float
 ) -> FeedForward | None:
-    """Return the model's named effects at this battery voltage over full; None where the law applies none."""
+    """Return the feed-forward for the model's effects at a battery voltage over full; None if it is empty."""
     numbers = compose_feedforward(model.parts(effects, use="effects"), voltage_ratio)
     block: list[float] = []
     for name, size in BLOCK_FIELDS:
@@ -34,13 +34,13 @@ def to_apply(
     voltage_ratio: float,
     predict: Callable[[FeedForward | None], float],
 ) -> tuple[FeedForward | None, str]:
-    """Return what to fly with and nothing, or None and the reason why nothing is better.
+    """Return the feed-forward to fly with and an empty reason, or None and the reason for none.
 
-    predict: tracking error (m) of the flight with a feed-forward, or without.
+    `predict` returns the tracking error (m) of the flight with or without a feed-forward.
     """
     feedforward = feedforward_of(model, vehicle, effects, voltage_ratio)
     if feedforward is None:
-        return None, f"{', '.join(model.effects)}: nothing that the law on board can make up for"
+        return None, f"{', '.join(model.effects)}: not compensable on board"
     without_m, applied_m = predict(None), predict(feedforward)
     if applied_m < without_m:
         return feedforward, ""
@@ -51,9 +51,9 @@ def to_apply(
 
 
 def voltage_ratio(flights: Sequence[Flight]) -> float:
-    """Mean battery voltage over full voltage of flights while they track: what the next is expected to have.
+    """Return the mean battery voltage of flights while tracking, over full voltage; 1 if none is logged.
 
-    1 where none of them logged it.
+    The next flight is expected to have this voltage.
     """
     means = []
     for flight in flights:

@@ -17,7 +17,7 @@ import numpy as np
 from trimtab.host.apps.demo.plans import plan_first
 from trimtab.host.apps.demo.routes import draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class
@@ -44,8 +44,8 @@ def fly(vehicle: Vehicle, reference: Reference, seed: int, link: str, log: Path)
         start_yaw=reference.yaw_nodes()[0].yaw,
     )
     try:
-        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=log, upload=True)
-        return fly_lockstep(order, simulated)
+        request = FlightRequest(vehicle=vehicle, reference=reference, log_path=log, upload=True)
+        return fly_lockstep(request, simulated)
     except FlightEnded as ended:
         return ended.result
 

@@ -1,7 +1,7 @@
-"""How flights of one route compare: tracking errors, all measured alike, and what got worse.
+"""Comparison of flights of one route: tracking errors, measured in the same way, and deteriorations.
 
-Where the trace found that poses are older than stamped, positions are taken that much earlier: that is when
-the vehicle was there. Without it a law that accounts for the delay and flies better would seem to fly worse.
+If the trace finds that poses are older than their stamps, positions are shifted to that earlier time. Without
+this, a control law that compensates the delay and flies better would seem to fly worse.
 """
 
 from __future__ import annotations
@@ -26,11 +26,20 @@ AXES = ("north", "east", "down")
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracked:
-    """A flight against its reference over the tracking phase.
+    """A flight compared with its reference over the tracking phase.
 
-    p_ned: (n, 3) where it was. error_m: (n, 3) from the reference, NED. stamped_rmse_m: without the
-    correction. predicted_rmse_m: by the traced model before the flight, None where it came later.
-    clipped_share: of the ticks in flight at the motors' limits. battery_v: as tracking began.
+    Attributes
+    ----------
+    p_ned, error_m
+        Positions and their deviations from the reference (n, 3), NED.
+    stamped_rmse_m
+        RMSE without the correction of stamps.
+    predicted_rmse_m
+        RMSE that the traced model predicted before the flight; None if the model came later.
+    clipped_share
+        Share of ticks in flight with saturated motors.
+    battery_v
+        Battery voltage at the start of tracking.
     """
 
     label: str
@@ -45,7 +54,7 @@ class Tracked:
 
     @property
     def norm_m(self) -> Array:
-        """(n,) distance from the reference."""
+        """Distance from the reference (n,)."""
         return np.linalg.norm(self.error_m, axis=1)
 
     @property
@@ -68,9 +77,9 @@ class Tracked:
 class Comparison:
     """The first flights of a route, a new plan flown by the same law, and a flight with the effects applied.
 
-    The last flies the new plan, or the first one where there is no new. `no_new_plan` and `no_applied` say
-    why one of them is missing. voltage_ratio: of the battery's full voltage, what the effects were applied
-    for; None where it makes no difference.
+    The last flies the new plan, or the first plan if there is no new one. `no_new_plan` and `no_applied` are
+    the reasons for missing flights. `voltage_ratio` is the battery voltage over full voltage for which the
+    effects are applied; None if it has no influence.
     """
 
     first: tuple[Tracked, ...]
@@ -88,12 +97,12 @@ class Comparison:
 
     @property
     def first_rmse_m(self) -> float:
-        """Of the first flights together."""
+        """RMSE of all first flights together."""
         return pooled_rmse_m(self.first)
 
     @property
     def spread_m(self) -> float:
-        """By how much the RMSE of the first flights differs: what chance alone does."""
+        """Range of the RMSE of the first flights, which is due to chance."""
         every = [flight.rmse_m for flight in self.first]
         return max(every) - min(every)
 
@@ -103,7 +112,7 @@ class Comparison:
         return (*self.first, *(f for f in (self.new_plan, self.applied) if f is not None))
 
     def to_json(self) -> dict[str, Any]:
-        """Return the demo's keys, and the rest below `comparison`."""
+        """Return the keys of the demo's answer, with further ones below `comparison`."""
         return {
             "tracking_rmse_first_m": self.first_rmse_m,
             "tracking_rmse_new_plan_m": None if self.new_plan is None else self.new_plan.rmse_m,
@@ -134,14 +143,14 @@ class Comparison:
 
 
 def pooled_rmse_m(flights: Sequence[Tracked]) -> float:
-    """Root mean square of the flights' errors."""
+    """Return the root mean square of the flights' errors."""
     return sqrt(sum(flight.rmse_m**2 for flight in flights) / len(flights))
 
 
 def tracked(
     label: str, flight: Flight, planned: Planned, *, latency_s: float, predicted_rmse_m: float | None = None
 ) -> Tracked:
-    """Return the flight against its reference, its poses taken to be `latency_s` older than stamped."""
+    """Compare a flight with its reference, with poses `latency_s` older than their stamps."""
     assert flight.mocap is not None
     assert flight.tracking is not None
     stamps_us, p = flight.mocap.t_us, flight.mocap.p
@@ -166,7 +175,7 @@ def tracked(
 
 
 def _errors(flight: Flight, t_us: Array, p_ned: Array) -> tuple[Array, Array]:
-    """(n, 3) positions less reference in the tracking phase, and which of the positions these are."""
+    """Return position errors (n, 3) in the tracking phase, and the mask of these positions."""
     assert flight.reference is not None
     assert flight.tracking is not None
     start_us, end_us = flight.tracking
@@ -175,18 +184,19 @@ def _errors(flight: Flight, t_us: Array, p_ned: Array) -> tuple[Array, Array]:
 
 
 def _finite(value: float | None) -> float | None:
-    """Return the value; None for one that JSON does not know."""
+    """Return the value, or None if it is not finite."""
     return value if value is not None and np.isfinite(value) else None
 
 
 def latency_of(result: Trace) -> float:
-    """Seconds by which poses are older than stamped, by the effects that the trace names."""
+    """Return the seconds by which poses are older than their stamps, from the named effects."""
     return float(mocap_latency_s(FLOAT, result.model.parts(result.space.effects, "effects")))
 
 
 def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
-    """Return a sentence for each flight that is worse in some figure; where flown, worse than in every first
-    one.
+    """Return a sentence for each flight or prediction that is worse in some figure.
+
+    A flight is worse if its figure exceeds that of every first flight.
     """
     out = []
     for flight in (comparison.new_plan, comparison.applied):
@@ -217,7 +227,7 @@ def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
 
 
 def _figures(flight: Tracked, first: Sequence[Tracked]) -> list[tuple[str, float, list[float]]]:
-    """Name, value and the first flights' values of each error."""
+    """Return name, value and the first flights' values of each error."""
     rows = [
         ("tracking RMSE", flight.rmse_m, [f.rmse_m for f in first]),
         ("greatest error", flight.max_m, [f.max_m for f in first]),

@@ -1,4 +1,4 @@
-"""Files that a demo leaves in its folder, and their provenance."""
+"""Files that a demo writes to its folder, and their provenance."""
 
 from __future__ import annotations
 
@@ -40,7 +40,7 @@ class DemoFiles:
         write_plan(planned.plan, file, provenance=self.provenance(parents), force=self.force)
 
     def write(self, name: str, content: str | bytes) -> None:
-        """Write a file, whole or not at all."""
+        """Write a complete file or nothing."""
         artefacts.write_atomic(self.folder / name, content, self.force)
 
     def provenance(self, parents: dict[str, str] | None = None) -> dict[str, Any]:

@@ -1,6 +1,6 @@
-"""The demo's flights: a simulated vehicle in a world that this side knows by name and seed only.
+"""Flights of the demo: a simulated vehicle in a world of which only name and seed are known.
 
-A flight is a function of reference, feed-forward and flight index; nothing is carried from one to the next.
+A flight depends only on reference, feed-forward and flight index, not on earlier flights.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import FlightFailed
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port
@@ -29,7 +29,7 @@ TRUTH_SUFFIX = ".truth.json"
 
 @dataclass(frozen=True, kw_only=True)
 class Airfield:
-    """Where plans are flown: vehicle, name and seed of the world, and what logs may say of the session."""
+    """Simulated site of flights: vehicle, name and seed of the world, and session entries for the logs."""
 
     vehicle: Vehicle
     world: str
@@ -61,7 +61,7 @@ class Airfield:
         feedforward: FeedForward | None = None,
         model_id: str | None = None,
     ) -> FlightResult:
-        """Return the result of a flight with a vehicle of its own, blobs uploaded in lock-step before it."""
+        """Fly with a new vehicle after uploading the blobs in lock-step, and return the result."""
         with closing(self.power_up(reference, flight)) as simulated:
             return self.fly_with(
                 simulated, reference, flight, log, feedforward=feedforward, model_id=model_id, upload=True
@@ -78,11 +78,11 @@ class Airfield:
         model_id: str | None = None,
         upload: bool = False,
     ) -> FlightResult:
-        """Return the result of a flight with a powered-up vehicle; its truth is sealed beside the log.
+        """Fly with a powered-up vehicle, seal its truth beside the log, and return the result.
 
-        Raises FlightFailed where it ends in failsafe or early; the log is readable then too.
+        Raises FlightFailed if the flight ends in failsafe or early; the log is readable in that case too.
         """
-        order = FlightOrder(
+        request = FlightRequest(
             vehicle=self.vehicle,
             reference=reference,
             feedforward=feedforward,
@@ -94,7 +94,7 @@ class Airfield:
         )
         before = _file_number(log)
         try:
-            return fly_lockstep(order, simulated)
+            return fly_lockstep(request, simulated)
         except FlightEnded as ended:
             raise FlightFailed(f"flight {flight}: {ended}") from ended
         finally:
@@ -103,9 +103,9 @@ class Airfield:
 
 
 def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
-    """Return the pty's name and the upload's result: the vehicle stands by in real time at a pseudo terminal.
+    """Upload a blob through a pseudo-terminal in real time. Return the pty's name and the result.
 
-    The bytes go through pyserial, as they would to hardware.
+    The bytes pass through pyserial, as with hardware.
     """
     stop = Event()
     address: Future[str] = Future()
@@ -123,12 +123,12 @@ def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
 
 
 def _file_number(path: Path) -> int | None:
-    """Return what tells the file at `path` from one that replaces it while it is there; None for no file."""
+    """Return the inode of the file at `path`, or None if there is no file."""
     return path.stat().st_ino if path.exists() else None
 
 
 def _seal(truth: Mapping[str, Any], log: Path) -> None:
-    """Write what the world held beside the log, tied to it by its id. Only checks open it."""
+    """Write the world's truth beside the log, with the log's id. Only checks open it."""
     record = {**truth, "log": artefacts.content_id(log.read_bytes())}
     text = json.dumps(record, indent=2, sort_keys=True) + "\n"
     artefacts.write_atomic(log.with_name(log.name + TRUTH_SUFFIX), text, force=True)

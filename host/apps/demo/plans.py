@@ -1,11 +1,11 @@
-"""The demo's plans: first with the nominal model, then one of the routes again with the traced one.
+"""Plans of the demo: first with the nominal model, then one of the routes again with the traced model.
 
-The second plan keeps the first one's limits, waypoints, headings and total time. It has nominal dynamics too,
-but another cost, as the paper plans for a flatness-based law (section IV-C.4): the first plan's is effort,
-the second's the residual that the traced model predicts, and some effort.
+The second plan has the limits, waypoints, headings and total time of the first. Its dynamics are also
+nominal, but its cost differs, as in the paper for a flatness-based law (section IV-C.4): the cost of the
+first plan is effort, that of the second the residual that the traced model predicts, plus some effort.
 
-How much effort a smaller residual is worth depends on the vehicle: with slow motors a wild path of little
-drag is followed worse than a calm one of more. The traced model of the closed loop tells before any flight.
+The best weight of effort depends on the vehicle. With slow motors, an aggressive path with little drag is
+tracked worse than a smooth one with more drag. The traced closed-loop model predicts this before any flight.
 """
 
 from __future__ import annotations
@@ -23,15 +23,15 @@ from trimtab.host.vehicle import Vehicle
 FIRST_KIND, AGAIN_KIND = "min-control", "min-residual"
 MORE_TIME = 1.15
 TRIES = 4
-"""A first plan that fails gets this much more time for the next try, and so many tries."""
+"""Factor on the time of a first plan after each failed try, and number of tries."""
 CALM = (1.0, 4.0, 16.0)
-"""Weights of effort that second plans are tried with, in units of the planner's own."""
+"""Weights of effort for second plans, over the planner's default."""
 _WEIGHTS = Weights()
 
 
 @dataclass(frozen=True, kw_only=True)
 class Planned:
-    """A plan, the route it is for and the total time it was given."""
+    """A plan with its route and total time."""
 
     name: str
     route: Route
@@ -41,7 +41,7 @@ class Planned:
 
 @dataclass(frozen=True, kw_only=True)
 class Choice:
-    """The plan that is predicted to fly best, with that prediction, out of `plans`."""
+    """The plan with the smallest predicted tracking error, that prediction, and the number of plans tried."""
 
     planned: Planned
     predicted_rmse_m: float
@@ -51,14 +51,14 @@ class Choice:
 def plan_first(route: Route, vehicle: Vehicle) -> Planned:
     """Return a plan with the nominal model.
 
-    Raises PlanRefused or PlanUnsolved where more time does not help.
+    Raises PlanRefused or PlanUnsolved if more time does not help.
     """
     time_s = route.duration_s
-    for left in reversed(range(TRIES)):
+    for tries_left in reversed(range(TRIES)):
         try:
             made = plan(route, vehicle, kind=FIRST_KIND, total_time_s=time_s)
         except (PlanRefused, PlanUnsolved):
-            if not left:
+            if not tries_left:
                 raise
             time_s = round(time_s * MORE_TIME, 2)
         else:
@@ -73,11 +73,10 @@ def plan_again(
     effects: Mapping[str, Effect],
     predict: Callable[[Plan], float],
 ) -> Choice:
-    """Return the same route in the same time, planned with the model: the best by prediction of several
-    efforts.
+    """Plan the route again in the same time with the model, and return the best of several weights of effort.
 
-    predict: the tracking error (m) of a plan that has not been flown. Raises Refused or PlanUnsolved where no
-    plan succeeds.
+    `predict` returns the tracking error (m) of a plan that has not been flown. Raises Refused or PlanUnsolved
+    if no plan succeeds.
     """
     tried: list[tuple[float, Plan]] = []
     failed: PlanRefused | PlanUnsolved | None = None
@@ -107,5 +106,5 @@ def plan_again(
 
 
 def fastest(plans: Sequence[Planned]) -> Planned:
-    """Return the plan with the greatest mean speed; the first of equals."""
+    """Return the plan with the greatest mean speed, or the first of several."""
     return max(plans, key=lambda planned: planned.plan.mean_speed_m_s)

@@ -1,4 +1,4 @@
-"""How closely the law would follow a reference that was never flown: phi with the model, rolled out."""
+"""Prediction of the tracking error of a reference that was not flown, by a roll-out of phi with the model."""
 
 from __future__ import annotations
 
@@ -25,9 +25,10 @@ def predicted_rmse_m(
     effects: Mapping[str, Effect],
     feedforward: FeedForward | None = None,
 ) -> float:
-    """Tracking error RMSE with the model, for a flight like this one: its start, its link and its battery.
+    """Return the tracking error RMSE with the model, for the start, link and battery of the given flight.
 
-    `reference` starts where the flight's own did and lasts as long. Infinite where the roll-out diverges.
+    `reference` must start at the same point and last as long as the flight's. Returns infinity if the
+    roll-out diverges.
     """
     (found,) = predict_flights(
         [FlightData.of(replace(flight, reference=reference, feedforward=feedforward))], model, effects

@@ -1,4 +1,4 @@
-"""The demo's own sections of the report: the flown comparisons, and what got worse."""
+"""Sections of the report that only the demo has: the flown comparison, and deteriorations."""
 
 from __future__ import annotations
 
@@ -36,30 +36,30 @@ def _text(comparison: Comparison) -> list[str]:
     count = len(comparison.first)
     how = (
         f"The fastest of the first routes, flown {count} times with the nominal plan; these flights differ "
-        f"by {1e3 * comparison.spread_m:.1f} mm RMSE, and any smaller difference means nothing. "
+        f"by {1e3 * comparison.spread_m:.1f} mm RMSE, so a smaller difference is not significant. "
     )
     if comparison.new_plan is not None:
         again = (
-            "Then the same law with the same constants flew a new plan for the same waypoints, headings, "
-            "total time, limits and headroom. The first plan minimises effort alone, the new one the "
-            "residual that the traced model predicts and some effort; of several such plans, with more or "
-            "less weight on effort, it is the one that the model predicts to be followed best. "
+            "Then the same control law with the same gains flew a new plan for the same waypoints, headings, "
+            "total time, limits and headroom. The first plan minimises effort alone. The new plan minimises "
+            "the residual that the traced model predicts, plus some effort. Of several weights of effort, it "
+            "is the plan with the smallest predicted tracking error. "
         )
     else:
         again = f"No new plan was flown: {_sentence(comparison.no_new_plan)} "
     if comparison.applied is not None:
         applied = (
-            f"The last flight ({comparison.applied.label}) has the traced effects applied where the law can, "
-            f"for a battery at {100 * (comparison.voltage_ratio or 1.0):.1f} % of its full voltage, the mean "
-            "of the flights learned from."
+            f"The last flight ({comparison.applied.label}) compensates the traced effects on board as far "
+            f"as possible, for a battery at {100 * (comparison.voltage_ratio or 1.0):.1f} % of full "
+            "voltage, the mean of the flights learned from."
         )
     else:
-        applied = f"The effects were not flown applied: {_sentence(comparison.no_applied)}"
+        applied = f"No flight with the effects compensated on board: {_sentence(comparison.no_applied)}"
     lines = [how + again + applied]
     if comparison.latency_s:
         lines.append(
-            f"Poses were found to be {1e3 * comparison.latency_s:.1f} ms older than stamped. All flights are "
-            "measured with that correction; the last row of the table is without it."
+            f"Poses are {1e3 * comparison.latency_s:.1f} ms older than their stamps. All flights are "
+            "measured with this correction, except in the last row of the table."
         )
     return lines
 
@@ -81,13 +81,13 @@ def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> lis
         *([f"{axis}, mm", *(_mm(f.axes_m[i]) for f in flown)] for i, axis in enumerate(AXES)),
         ["greatest, mm", *(_mm(f.max_m) for f in flown)],
         ["time at the motors' limits, %", *(f"{100 * f.clipped_share:.2f}" for f in flown)],
-        ["battery as tracking began, V", *(_volts(f.battery_v) for f in flown)],
+        ["battery at start of tracking, V", *(_volts(f.battery_v) for f in flown)],
         ["planned path, m", *(f"{plan.path_length_m:.2f}" for plan in plans)],
         ["planned time, s", *(f"{plan.duration_s:.2f}" for plan in plans)],
         ["planned mean speed, m/s", *(f"{plan.mean_speed_m_s:.2f}" for plan in plans)],
         ["planned top speed, m/s", *(f"{speed:.2f}" for speed in speeds)],
         ["planned greatest tilt, °", *(f"{tilt:.1f}" for tilt in tilts)],
-        ["planned greatest rotor thrust, % of its most", *(f"{100 * top:.0f}" for top in tops)],
+        ["planned greatest rotor thrust, % of maximum", *(f"{100 * top:.0f}" for top in tops)],
     ]
     if latency_s:
         rows.append(["error RMSE with poses as stamped, mm", *(_mm(f.stamped_rmse_m) for f in flown)])
@@ -106,8 +106,8 @@ def _paths(comparison: Comparison) -> figures.Figure:
 
 def _worse(comparison: Comparison, result: Trace) -> Section:
     found = what_got_worse(comparison, result)
-    none = "Nothing of what was measured got worse: no error on any axis, flown or predicted."
-    return {"title": "What got worse", "text": found or [none], "table": None, "figures": []}
+    none = "No measured error got worse, on any axis, flown or predicted."
+    return {"title": "Deteriorations", "text": found or [none], "table": None, "figures": []}
 
 
 def _mm(value_m: float | None) -> str:
@@ -119,9 +119,9 @@ def _volts(value: float | None) -> str:
 
 
 def summary(answer: Mapping[str, Any]) -> list[str]:
-    """Return the flown comparison for people, from the demo's JSON."""
+    """Return the flown comparison as lines of text, from the demo's JSON."""
     first, comparison = answer["tracking_rmse_first_m"], answer["comparison"]
-    lines = [f"tracking error on route {comparison['route']}: {1e3 * first:.1f} mm as first flown"]
+    lines = [f"tracking error on route {comparison['route']}: {1e3 * first:.1f} mm with the first plan"]
     again, applied = answer["tracking_rmse_new_plan_m"], answer["tracking_rmse_applied_m"]
     if again is None:
         lines.append(f"  no new plan: {comparison['no_new_plan']}")

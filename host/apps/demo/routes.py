@@ -1,7 +1,8 @@
-"""The routes of a demo, drawn from the host's seed: four to learn from and two to be judged by.
+"""Routes of a demo, drawn from the host's seed: four to learn from and two held out.
 
-Each set needs a range of speeds (linear against quadratic drag), climbs, and headings that turn (wind against
-whatever is fixed to the body), so shape, pace and heading are laid down and the rest is drawn.
+Each set needs a range of speeds (to separate linear from quadratic drag), climbs, and turning headings (to
+separate wind from effects fixed to the body). Shape, pace and heading are therefore given, and other
+properties are drawn.
 """
 
 from __future__ import annotations
@@ -28,7 +29,7 @@ _SETTLE_S = 1.2  # to start and to stop
 
 @dataclass(frozen=True, kw_only=True)
 class Space:
-    """Where and how fast a demo flies: reach to each side, heights (up positive), the fastest mean speed."""
+    """Space and speed of a demo: reach to each side, heights (up positive), greatest mean speed."""
 
     reach_m: float
     bottom_m: float
@@ -37,7 +38,7 @@ class Space:
 
     @classmethod
     def of(cls, limits: Limits) -> Space:
-        """Return what fits a vehicle's limits."""
+        """Return the space within a vehicle's limits."""
         (north0, north1), (east0, east1), (down0, _) = limits.geofence_m
         reach = min(_REACH_M, _EDGE * min(-north0, north1, -east0, east1))
         top = min(_TOP_M, -_EDGE * down0)
@@ -63,9 +64,7 @@ class DemoRoutes:
 
 
 def draw_routes(seed: int, limits: Limits) -> DemoRoutes:
-    """Return the six routes of a host seed for a vehicle's limits; the same arguments give the same
-    routes.
-    """
+    """Return the six routes of a host seed for a vehicle's limits, always the same for the same arguments."""
     space = Space.of(limits)
     rng = np.random.default_rng([seed, 0])
     return DemoRoutes(
@@ -112,7 +111,7 @@ def _pretzel(name: str, rng: np.random.Generator, space: Space, *, pace: float, 
 def _scatter(
     name: str, rng: np.random.Generator, space: Space, *, pace: float, count: int, yaw: Turning
 ) -> Route:
-    """Random waypoints."""
+    """Return a route through random waypoints."""
     side = (-space.reach_m, space.reach_m)
     drawn = random_route(
         int(rng.integers(2**31)),
@@ -138,9 +137,7 @@ def _route(
 
 
 def _heading(turning: Turning, total_s: float, rng: np.random.Generator) -> YawProfile:
-    """Return a heading that stays, turns once round, or turns half round and back; direction and start are
-    drawn.
-    """
+    """Return a heading that is fixed, turns once, or turns half and back; direction and start are drawn."""
     first, sign = round(float(rng.uniform(-180.0, 180.0)), 1), float(rng.choice((-1.0, 1.0)))
     if turning == "fixed":
         return YawProfile(yaw_deg=(first,), times_s=(0.0,))
@@ -151,6 +148,6 @@ def _heading(turning: Turning, total_s: float, rng: np.random.Generator) -> YawP
 
 
 def _turned(points: list[Point], angle: float) -> tuple[Point, ...]:
-    """Return the points turned about the vertical, to the millimetre."""
+    """Return the points rotated about the vertical, rounded to the millimetre."""
     c, s = math.cos(angle), math.sin(angle)
     return tuple((round(c * n - s * e, 3), round(s * n + c * e, 3), round(d, 3)) for n, e, d in points)

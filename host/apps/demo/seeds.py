@@ -1,6 +1,6 @@
-"""The two seeds of a demo: the host's own, which logs may hold, and the world's, which they may not.
+"""The two seeds of a demo: the host's, which logs may contain, and the world's, which they must not.
 
-Each is a hash of its own of the demo's seed, so that neither tells the other.
+Both are separate hashes of the demo's seed, so neither reveals the other.
 """
 
 from __future__ import annotations

@@ -20,7 +20,7 @@ from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_firs
 from trimtab.host.apps.demo.predict import predicted_rmse_m
 from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.steps import Say, Steps
+from trimtab.host.apps.demo.steps import OnMessage, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
 from trimtab.host.effects import Effect
@@ -37,17 +37,17 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward
 
 WORLD = "drawn-several"
-TWINS = 2
+REPEATS = 2
 FAILURES = (Refused, SolverError, FlightFailed)
 """Errors of a second plan or flight that do not end the demo."""
 
 
 @dataclass(frozen=True, kw_only=True)
-class DemoOrder:
+class DemoRequest:
     """Settings of a demo.
 
-    folder: receives every file, made if missing; `force` overwrites. routes: None to draw them from the seed.
-    twins: number of repeat flights of each reference to learn from.
+    `folder` receives every file and is made if missing; `force` overwrites files. If `routes` is None, they
+    are drawn from the seed. `repeats` is the number of repeat flights of each reference to learn from.
     """
 
     vehicle: Vehicle
@@ -55,7 +55,7 @@ class DemoOrder:
     seed: int
     world: str = WORLD
     routes: DemoRoutes | None = None
-    twins: int = TWINS
+    repeats: int = REPEATS
     force: bool = False
 
 
@@ -75,39 +75,43 @@ class Outcome:
 
 
 def run_demo(
-    order: DemoOrder,
+    request: DemoRequest,
     effects: Mapping[str, Effect],
     *,
-    say: Say = lambda line: None,
+    on_message: OnMessage = lambda line: None,
     manoeuvres: Manoeuvres | None = None,
 ) -> Outcome:
-    """Run a demo; its files are in the folder of `order`.
+    """Run a demo; its files are in the folder of the request.
 
     Raises ConfigurationError if there is no such world, Refused or PlanUnsolved for a first plan,
     FlightFailed for a failsafe before the trace, and the errors of tracing. Logs of finished flights stay
     readable.
     """
-    return _Demo(order, effects, say, manoeuvres).run()
+    return _Demo(request, effects, on_message, manoeuvres).run()
 
 
 class _Demo:
     def __init__(
-        self, order: DemoOrder, effects: Mapping[str, Effect], say: Say, manoeuvres: Manoeuvres | None
+        self,
+        request: DemoRequest,
+        effects: Mapping[str, Effect],
+        on_message: OnMessage,
+        manoeuvres: Manoeuvres | None,
     ) -> None:
-        self._order = order
+        self._request = request
         self._effects = effects
-        self._say = say
+        self._on_message = on_message
         self._manoeuvres = manoeuvres
-        self._seed = host_seed(order.seed)
+        self._seed = host_seed(request.seed)
         self._files = DemoFiles(
-            folder=order.folder, vehicle=order.vehicle, seed=self._seed, force=order.force
+            folder=request.folder, vehicle=request.vehicle, seed=self._seed, force=request.force
         )
-        self._steps = Steps(say)
-        self._routes = order.routes or draw_routes(self._seed, order.vehicle.limits)
+        self._steps = Steps(on_message)
+        self._routes = request.routes or draw_routes(self._seed, request.vehicle.limits)
         self._field = Airfield(
-            vehicle=order.vehicle,
-            world=order.world,
-            world_seed=world_seed(order.seed),
+            vehicle=request.vehicle,
+            world=request.world,
+            world_seed=world_seed(request.seed),
             session=self._files.session(),
         )
         self._flights = 0
@@ -115,16 +119,17 @@ class _Demo:
 
     def run(self) -> Outcome:
         self._field.check()
-        order = self._order
-        self._say(
-            f"demo with seed {order.seed}, vehicle {order.vehicle.name}; every file goes to {order.folder}"
+        request = self._request
+        self._on_message(
+            f"demo with seed {request.seed}, vehicle {request.vehicle.name}; "
+            f"every file goes to {request.folder}"
         )
-        order.folder.mkdir(parents=True, exist_ok=True)
+        request.folder.mkdir(parents=True, exist_ok=True)
         learning, held_out = self._plan()
         used, unseen = self._fly(learning, held_out)
         result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])
-        model_path = self._order.folder / MODEL_NAME
-        write_model(result.model, model_path, force=self._order.force)
+        model_path = self._request.folder / MODEL_NAME
+        write_model(result.model, model_path, force=self._request.force)
         comparison = self._again(learning, used, result)
         answer = self._report(result, comparison, used, unseen)
         return Outcome(
@@ -135,7 +140,7 @@ class _Demo:
             failure=self._failures[0] if self._failures else None,
         )
 
-    # The steps.
+    # Steps.
 
     def _plan(self) -> tuple[list[Planned], list[Planned]]:
         routes = (*self._routes.learning, *self._routes.held_out)
@@ -143,7 +148,7 @@ class _Demo:
             plans = []
             for route in routes:
                 bar.advance(0.0, route.name)
-                planned = plan_first(route, self._order.vehicle)
+                planned = plan_first(route, self._request.vehicle)
                 self._files.write_plan(planned)
                 plans.append(planned)
                 bar.advance()
@@ -167,7 +172,7 @@ class _Demo:
                 f"{sent.frames_sent} frames, checked on board and live"
             )
         flown: list[tuple[Planned, Flight]] = []
-        queue = [planned for planned in learning for _ in range(self._order.twins)] + held_out
+        queue = [planned for planned in learning for _ in range(self._request.repeats)] + held_out
         with self._steps.step("fly", len(queue)) as (bar, done):
             for planned in queue:
                 bar.advance(0.0, planned.name)
@@ -191,7 +196,7 @@ class _Demo:
                 used,
                 held_out,
                 self._effects,
-                vehicle=self._order.vehicle,
+                vehicle=self._request.vehicle,
                 manoeuvres=self._manoeuvres,
                 provenance=self._files.provenance({f"log {i}": f.id for i, f in enumerate(used)}),
                 on_progress=lambda step: bar.advance(0.0, step),
@@ -245,7 +250,7 @@ class _Demo:
         flown, label = (route, "first plan") if second is None else (second, "new plan")
         ratio = voltage_ratio([flight for _, flight in used])
         feedforward, no_applied = to_apply(
-            model, self._order.vehicle, self._effects, ratio, partial(predict, flown.plan)
+            model, self._request.vehicle, self._effects, ratio, partial(predict, flown.plan)
         )
         if feedforward is not None:
             self._files.write(FEEDFORWARD_NAME, feedforward.to_bytes())
@@ -270,7 +275,7 @@ class _Demo:
                 done(f"no new plan: {why}")
                 return None, why
             try:
-                choice = plan_again(route, self._order.vehicle, model, self._effects, predict)
+                choice = plan_again(route, self._request.vehicle, model, self._effects, predict)
             except FAILURES as error:
                 why = self._failed(error)
                 done(f"no new plan: {why}")
@@ -299,12 +304,12 @@ class _Demo:
                 [flight for _, flight in used],
                 [flight for _, flight in unseen],
                 answer,
-                report.sections(comparison, result, self._order.vehicle),
+                report.sections(comparison, result, self._request.vehicle),
             )
             self._files.write(REPORT_NAME, html)
             self._files.write(JSON_NAME, json_text(answer) + "\n")
             done(f"one file of {len(html.encode()) / 1024:.0f} KiB")
-        folder = self._order.folder
+        folder = self._request.folder
         return answer | {"model": str(folder / MODEL_NAME), "report": str(folder / REPORT_NAME)}
 
     # Parts of steps.
@@ -331,4 +336,4 @@ class _Demo:
     def _failed(self, error: TrimtabError) -> str:
         """Return the error's text without the folder's path; the first error decides the demo's exit code."""
         self._failures.append(error)
-        return str(error).replace(f"{self._order.folder}{os.sep}", "")
+        return str(error).replace(f"{self._request.folder}{os.sep}", "")

@@ -8,18 +8,18 @@ from contextlib import contextmanager
 
 from trimtab.host.base.progress import Progress
 
-Say = Callable[[str], None]
+OnMessage = Callable[[str], None]
 
 
 class Steps:
-    """Times the steps of a demo and prints a line after each. times: (title, seconds) of each step so far."""
+    """Steps of a demo with a line of output after each. `times` holds (title, seconds) of each step."""
 
-    def __init__(self, say: Say) -> None:
-        self._say = say
+    def __init__(self, on_message: OnMessage) -> None:
+        self._on_message = on_message
         self.times: list[tuple[str, float]] = []
 
     @contextmanager
-    def step(self, title: str, total: float | None = None) -> Iterator[tuple[Progress, Say]]:
+    def step(self, title: str, total: float | None = None) -> Iterator[tuple[Progress, OnMessage]]:
         """Yield a progress bar and a function that takes the step's figure; call that function once."""
         figures: list[str] = []
         begin_s = time.perf_counter()
@@ -27,4 +27,4 @@ class Steps:
             yield bar, figures.append
         seconds = time.perf_counter() - begin_s
         self.times.append((title, seconds))
-        self._say(f"{len(self.times)}. {title} ({seconds:.1f} s): {figures[0]}")
+        self._on_message(f"{len(self.times)}. {title} ({seconds:.1f} s): {figures[0]}")

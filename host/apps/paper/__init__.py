@@ -1,1 +1,1 @@
-"""The paper's own set-ups, measured again: data, tables and pictures beside the numbers it gives."""
+"""Repetition of the paper's experiments: data, tables and figures beside the paper's numbers."""

@@ -1,4 +1,4 @@
-"""The study of a section of the paper, as pieces that do not depend on each other."""
+"""Study of a section of the paper, as independent pieces."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.pieces import Piece, Report, run_pieces
+from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 
 
@@ -20,11 +20,10 @@ def study_of(
     *,
     worlds: int,
 ) -> Callable[..., dict[str, Any]]:
-    """Return a study of pieces, as `host.studies` asks for one: what `summary` makes of its answer and its
-    pieces.
+    """Return a study of pieces with the interface of `host.studies.Study`.
 
-    pieces(seed, worlds, quick): what it consists of. do(piece, folder, vehicle=, seed=): what a piece comes
-    to. worlds: by default.
+    `pieces(seed, worlds, quick)` returns the pieces, `do(piece, folder, vehicle=, seed=)` the result of a
+    piece, and `summary` the outcome. `worlds` is the default number of worlds.
     """
     by_default = worlds
 
@@ -36,21 +35,20 @@ def study_of(
         jobs: int,
         worlds: int = by_default,
         quick: bool = False,
-        report: Report = lambda done, total, detail: None,
+        on_progress: OnProgress = lambda done, total, detail: None,
     ) -> dict[str, Any]:
-        """Return the study's outcome: `answer` (the machine's object), `lines` (for people), `scores` (all
-        pieces).
+        """Run the study and return its outcome: `answer` (the JSON object), `lines`, `scores` (all pieces).
 
-        quick: a small one, to see that everything works. Raises UsageError without a world, and where the
-        folder holds another study.
+        With `quick`, run a small study to check that everything works. Raises UsageError for fewer worlds
+        than one, or if the folder holds another study.
         """
         if worlds < 1:
             raise UsageError(f"--worlds {worlds}: give 1 or more")
         folder = folder.absolute()
-        order = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
+        config = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
         work = partial(do, vehicle=vehicle, seed=seed)
         wanted = pieces(seed, worlds, quick)
-        found = run_pieces(wanted, work, folder=folder, order=order, jobs=jobs, report=report)
+        found = run_pieces(wanted, work, folder=folder, config=config, jobs=jobs, on_progress=on_progress)
         answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
         return {**summary(answer, found), "scores": found}
 

@@ -29,22 +29,22 @@ def main() -> int:
     check.add_argument("before", type=Path)
     check.add_argument("after", type=Path)
     check.add_argument("--regrouped", action="store_true", help="allow for regrouped arithmetic")
-    check.add_argument("--words", action="store_true", help="list sentences that differ too")
-    given = parser.parse_args()
-    if given.verb == "freeze":
-        output = given.output.absolute()
+    check.add_argument("--words", action="store_true", help="also list sentences that differ")
+    arguments = parser.parse_args()
+    if arguments.verb == "freeze":
+        output = arguments.output.absolute()
         setup = Setup(
-            command=given.command.absolute(),
-            inputs=(given.inputs or output / "inputs").absolute(),
+            command=arguments.command.absolute(),
+            inputs=(arguments.inputs or output / "inputs").absolute(),
             output=output,
-            repository=given.repository.absolute(),
-            recordings=None if given.recordings is None else given.recordings.absolute(),
+            repository=arguments.repository.absolute(),
+            recordings=None if arguments.recordings is None else arguments.recordings.absolute(),
         )
-        freeze(setup, given.parts, given.jobs)
+        freeze(setup, arguments.parts, arguments.jobs)
         return 0
-    counts, differences = compare(given.before, given.after, regrouped=given.regrouped)
+    counts, differences = compare(arguments.before, arguments.after, regrouped=arguments.regrouped)
     failing = [d for d in differences if d.kind != "words"]
-    for difference in differences if given.words else failing:
+    for difference in differences if arguments.words else failing:
         print(difference)
     print("records: " + ", ".join(f"{part} {count}" for part, count in counts.items()))
     kinds = Counter(str(d.kind) for d in differences)

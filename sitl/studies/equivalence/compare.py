@@ -18,10 +18,10 @@ IGNORED_KEYS = frozenset(
         *("git", "version", "command", "sources", "log_id", "data"),
     }
 )
-"""What differs between two runs of the same code, names the commit, or hashes a file that names it."""
+"""Keys that differ between two runs of the same code, name the commit, or hash a file that names it."""
 
 IGNORED_PATH = re.compile(r"\.model\.toml\.id$")
-"""Ids of traced models: they cover the hashes of the effects' source files."""
+"""Ids of traced models, which depend on the hashes of the effects' source files."""
 
 RELATIVE = 1e-12
 PARAMETER_SD = 0.01
@@ -52,10 +52,10 @@ class Difference:
 
 
 def compare(before: Path, after: Path, *, regrouped: bool) -> tuple[Counter[str], list[Difference]]:
-    """Return how many records each part holds, and every difference.
+    """Return the number of records of each part, and every difference.
 
-    regrouped: arithmetic may be regrouped. Parameters then differ by up to 0.01 sd, references by up to
-    0.1 mm, other numbers by up to 1 %; flights are equal to the bit in either case.
+    With `regrouped`, arithmetic may be regrouped: parameters may differ by 0.01 sd, references by 0.1 mm, and
+    other numbers by 1 %. Flights must be equal to the bit in either case.
     """
     counts: Counter[str] = Counter()
     differences: list[Difference] = []
@@ -76,7 +76,7 @@ def compare(before: Path, after: Path, *, regrouped: bool) -> tuple[Counter[str]
 
 
 def _walk(record: str, path: str, old: Any, new: Any) -> Iterator[Difference]:
-    """Yield the differences below `path`. Keys that only `new` has are additions and allowed."""
+    """Yield the differences below `path`. Keys that only `new` has are allowed."""
     if isinstance(old, dict) and isinstance(new, dict):
         for key, value in old.items():
             where = f"{path}.{key}" if path else key
@@ -107,9 +107,9 @@ def _is_number(value: Any) -> bool:
 
 
 def _is_close(difference: Difference, record: Any) -> bool:
-    """Whether regrouped arithmetic explains the difference."""
+    """Return whether regrouped arithmetic explains the difference."""
     if difference.path.endswith("id") and difference.kind is Kind.VALUE:
-        return True  # a content id follows the last bit of any number in the content
+        return True  # a content id changes with the last bit of any number in the content
     if difference.kind is not Kind.NUMBER:
         return False
     gap = abs(difference.before - difference.after)

@@ -1,4 +1,4 @@
-"""Record what one installed Trimtab answers: demos, traces, plans and flights."""
+"""Record the answers of an installed Trimtab: demos, traces, plans and flights."""
 
 from __future__ import annotations
 
@@ -38,12 +38,12 @@ SEALED_LOGS = (("a1", "a2", "b1", "b2"), ("c1",))
 PARTS = ("demo", "sealed", "real", "plans", "flights", "worlds")
 
 _ORIGIN_KEYS = frozenset({"version", "git", "command"})
-"""Metadata that says which commit wrote a file, not what it holds."""
+"""Metadata about the commit that wrote a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Setup:
-    """What to run and where the inputs are."""
+    """Command to run, and paths of inputs and output."""
 
     command: Path
     inputs: Path
@@ -78,24 +78,24 @@ class Setup:
 
 
 def log_digest(path: Path) -> dict[str, str]:
-    """Return a digest for each topic, attachment and metadata table of a flight log, provenance left out."""
-    found = scan(path)
+    """Return a digest of each topic, attachment and metadata table of a flight log, without its commit."""
+    records = scan(path)
     digests = {}
-    for topic, entries in found.by_topic().items():
+    for topic, entries in records.by_topic().items():
         content = sha256()
         for entry in entries:
             content.update(b"%d %d " % (entry.log_time_us, entry.publish_time_us) + entry.data)
         digests[topic] = content.hexdigest()
-    for name, (_, data) in found.attachments.items():
+    for name, (_, data) in records.attachments.items():
         digests[f"attachment {name}"] = sha256(data).hexdigest()
-    for name, table in found.metadata.items():
-        kept = {k: v for k, v in table.items() if name != PROVENANCE or k not in _ORIGIN_KEYS}
-        digests[f"metadata {name}"] = json.dumps(kept, sort_keys=True)
+    for name, table in records.metadata.items():
+        entries = {k: v for k, v in table.items() if name != PROVENANCE or k not in _ORIGIN_KEYS}
+        digests[f"metadata {name}"] = json.dumps(entries, sort_keys=True)
     return digests
 
 
 def blob_record(path: Path) -> dict[str, Any]:
-    """Return id and nodes of a reference."""
+    """Return id, nodes and yaw nodes of a reference."""
     reference = blobs.Reference.from_bytes(path.read_bytes())
     return {
         "id": reference.id,
@@ -117,10 +117,10 @@ def freeze_demo(setup: Setup, seed: int) -> None:
     def make() -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
-            said = setup.run(["demo", "--seed", str(seed), "-o", "out"], folder)
+            answer = setup.run(["demo", "--seed", str(seed), "-o", "out"], folder)
             out = folder / "out"
             return {
-                **said,
+                **answer,
                 "references": {p.name: blob_record(p) for p in sorted(out.rglob("*.ref"))},
                 "models": {p.name: model_record(p) for p in sorted(out.rglob("*.model.toml"))},
                 "logs": {p.name: log_digest(p) for p in sorted(out.rglob("*.mcap"))},
@@ -130,7 +130,7 @@ def freeze_demo(setup: Setup, seed: int) -> None:
 
 
 def freeze_trace(setup: Setup, part: str, case: TraceCase) -> None:
-    """Record what tracing answers to the logs of `case`, and the model it writes."""
+    """Record the answer of tracing for the logs of `case`, and the model that it writes."""
 
     def make() -> dict[str, Any]:
         with tempfile.TemporaryDirectory() as name:
@@ -139,9 +139,9 @@ def freeze_trace(setup: Setup, part: str, case: TraceCase) -> None:
                 (folder / log).symlink_to(case.folder / log)
             network = () if part == "sealed" else ("--no-network",)
             held_out = ("--hold-out", *case.held_out) if case.held_out else ()
-            said = setup.run(["trace", *case.logs, *network, *held_out, "-o", "out"], folder)
+            answer = setup.run(["trace", *case.logs, *network, *held_out, "-o", "out"], folder)
             models = {p.name: model_record(p) for p in sorted(folder.rglob("*.model.toml"))}
-            return {**said, "models": models}
+            return {**answer, "models": models}
 
     setup.record(part, case.name, make)
 
@@ -176,9 +176,9 @@ def freeze_plan(setup: Setup, route: str, kind: str) -> None:
             words = ["plan", route, "--kind", kind, "-o", "out.ref"]
             if kind not in ("min-snap", "min-control"):
                 words += ["--model", str(setup.inputs / "plan.model.toml")]
-            said = setup.run(words, folder)
+            answer = setup.run(words, folder)
             path = folder / "out.ref"
-            return {**said, "reference": blob_record(path) if path.is_file() else None}
+            return {**answer, "reference": blob_record(path) if path.is_file() else None}
 
     setup.record("plans", f"{route}-{kind.replace('*', '-star')}", make)
 
@@ -190,8 +190,8 @@ def freeze_flight(setup: Setup, world: str) -> None:
         with tempfile.TemporaryDirectory() as name:
             folder = Path(name)
             words = ["fly", str(setup.inputs / "flight.ref"), "--world", world, "--seed", "7"]
-            said = setup.run([*words, "--world-seed", "3", "-o", "out.mcap"], folder)
-            return {**said, "log": log_digest(folder / "out.mcap")}
+            answer = setup.run([*words, "--world-seed", "3", "-o", "out.mcap"], folder)
+            return {**answer, "log": log_digest(folder / "out.mcap")}
 
     setup.record("flights", world, make)
 

@@ -1,4 +1,4 @@
-"""Inputs that both commits process: blind worlds as tracing sees them, and groups of real flights."""
+"""Inputs for both commits: blind worlds as tracing sees them, and groups of real flights."""
 
 from __future__ import annotations
 

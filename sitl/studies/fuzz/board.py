@@ -1,4 +1,4 @@
-"""A flight processor under fuzz: what it holds, and what it says."""
+"""A flight processor under test by the fuzzer: its state and its messages."""
 
 from __future__ import annotations
 
@@ -17,13 +17,13 @@ from trimtab.sitl.studies.fuzz.source import Source
 from trimtab.sitl.vehicle import traced_law
 
 BAUD = 100 * 921_600
-"""So fast that an input arrives within one tick."""
-_TOLD = (m.FcStatus.id, m.StatusText.id, m.SysStatus.id)
-"""Messages that count bad bytes or speak of them."""
+"""Fast enough for an input to arrive within one tick."""
+_DAMAGE_REPORTS = (m.FcStatus.id, m.StatusText.id, m.SysStatus.id)
+"""Messages that count or report bad bytes."""
 
 
 class Broken(Exception):
-    """Something happened that must not; the text says what."""
+    """A rule is violated. The text says which."""
 
 
 class Board:
@@ -53,7 +53,7 @@ class Board:
         self._looks = 0
 
     def _parameters(self) -> tuple[float, ...]:
-        """All values; read anew where the law's own were replaced, else every 16th time: there are many."""
+        """Return all values. They are read after the law's were replaced, else every 16th time for speed."""
         parameters = self.mcu.parameters
         self._looks += 1
         if parameters.vector is not self._vector or self._looks % 16 == 0:
@@ -61,7 +61,7 @@ class Board:
         return self._values
 
     def state(self) -> tuple[Any, ...]:
-        """Return what only a valid message, or time, may change."""
+        """Return the state that only a valid message, or time, may change."""
         flight, store = self.mcu.flight, self.store
         return (
             flight.state,
@@ -73,12 +73,12 @@ class Board:
             b"".join(self.engine.inputs.values()),
         )
 
-    def said(self, now_us: int) -> list[bytes]:
-        """Messages sent since the last call, without their numbers, and without those that count damage."""
+    def messages(self, now_us: int) -> list[bytes]:
+        """Return the messages since the last call, without sequence numbers and without counts of damage."""
         frames = self._splitter.feed(self.port.read(now_us))
-        return [f[5:-2] for f in frames if message_id(f) not in _TOLD]
+        return [f[5:-2] for f in frames if message_id(f) not in _DAMAGE_REPORTS]
 
 
 def fast_port() -> UartPort:
-    """Return a line that never makes a byte wait."""
+    """Return a port on which no byte has to wait."""
     return UartPort(baud=BAUD, rx_bytes=1 << 16, tx_bytes=1 << 16)

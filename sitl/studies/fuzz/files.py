@@ -1,7 +1,7 @@
-"""Files: blobs, logs and TOML, damaged and read as everybody reads them.
+"""Fuzz targets for files: damaged blobs, logs and TOML files.
 
-A reader either gives something whole or raises one of its documented errors with a message of one line a
-problem. A blob that is taken is written again byte for byte, and the vehicle's verdict on it never raises.
+A reader must return a valid object or raise a documented error with one line for each problem. An accepted
+blob must encode to the same bytes, and the vehicle's verdict on it must not raise.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ _SUFFIX = {"vehicle": ".toml", "route": ".toml", "world": ".toml", "model": ".mo
 
 
 class BlobTarget:
-    """Blobs, as from a file and as from an upload."""
+    """Blobs, read as from a file and as from an upload."""
 
     def __init__(self, source: Source, rng: Random, situation: int) -> None:
         self._parameters = ParameterValues(to_parameters(source.vehicle))
@@ -40,24 +40,24 @@ class BlobTarget:
         self.valid = 0
 
     def give(self, data: bytes) -> None:
-        """Read the blob: it is refused, or judged and made a track."""
+        """Read the blob. If it is accepted, check it and build its track."""
         for kind in (1, 2):
             check_blob(kind, data, parameters=self._parameters, vehicle_id=self._vehicle_id)
         try:
             blob = from_bytes(data)
         except BlobError as error:
-            _check_told(error)
+            _check_message(error)
             return
         self.valid += 1
         if blob.to_bytes() != data:
-            raise Broken("the blob is not what its bytes were")
+            raise Broken("the blob does not encode to its original bytes")
         verdict = check_blob(blob.KIND, data, parameters=self._parameters, vehicle_id=self._vehicle_id)
         if verdict.ok and isinstance(blob, Reference):
             track.track(blob.nodes_ned(), blob.yaw_nodes())
 
 
 def blobs(target: BlobTarget, rng: Random, source: Source) -> bytes:
-    """Return references and feed-forwards with damage."""
+    """Return a damaged reference or feed-forward."""
     return mutations.mutated_file(rng, rng.choice((source.reference, source.feedforward)))
 
 
@@ -75,13 +75,13 @@ class _InFolder:
         self._folder.cleanup()
 
     def read(self, act: Callable[[], Any], *documented: type[Exception]) -> None:
-        """Call `act`, which returns or raises one of the documented errors."""
+        """Call `act`, which must return or raise one of the documented errors."""
         try:
             with warnings.catch_warnings():
                 warnings.simplefilter("error")
                 act()
         except documented as error:
-            _check_told(error)
+            _check_message(error)
         else:
             self.valid += 1
 
@@ -98,17 +98,17 @@ class LogTarget(_InFolder):
 
 
 def logs(target: LogTarget, rng: Random, source: Source) -> bytes:
-    """Return a real flight's log with damage."""
+    """Return the damaged log of a real flight."""
     return mutations.mutated_file(rng, source.log)
 
 
 class TextTarget(_InFolder):
-    """TOML files; an input begins with a line that says what it is."""
+    """TOML files. The first line of an input gives the kind of file."""
 
     def give(self, data: bytes) -> None:
         """Read the file, or refuse it."""
-        what, _, content = data.partition(b"\n")
-        name = what.decode()
+        first_line, _, content = data.partition(b"\n")
+        name = first_line.decode()
         path = self.folder / f"a{_SUFFIX[name]}"
         path.write_bytes(content)
         readers: dict[str, Callable[[], Any]] = {
@@ -121,12 +121,12 @@ class TextTarget(_InFolder):
 
 
 def texts(target: TextTarget, rng: Random, source: Source) -> bytes:
-    """Return the shipped files with other numbers, words and lines."""
-    what = rng.choice(("vehicle", "route", "route", "world", "world", "model"))
-    return what.encode() + b"\n" + mutations.mutated_text(rng, rng.choice(source.texts[what]))
+    """Return a shipped file with changed numbers, words and lines."""
+    kind = rng.choice(("vehicle", "route", "route", "world", "world", "model"))
+    return kind.encode() + b"\n" + mutations.mutated_text(rng, rng.choice(source.texts[kind]))
 
 
-def _check_told(error: Exception) -> None:
-    told = str(error)
-    if not told or "\r" in told:
-        raise Broken(f"an error that says nothing, or in no line: {told!r}")
+def _check_message(error: Exception) -> None:
+    message = str(error)
+    if not message or "\r" in message:
+        raise Broken(f"an error with an empty or malformed message: {message!r}")

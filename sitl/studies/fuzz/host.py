@@ -1,8 +1,7 @@
-"""Bytes towards the host: at its port, and as datagrams of the camera system.
+"""Fuzz target for the host: bytes at its port, and datagrams of the camera system.
 
-Two sessions run side by side, as two vehicles do in `vehicle`: one gets the damaged bytes, the other the
-valid messages that are in them. What they send, and what they hold, must be the same. A recorder writes the
-first one's log meanwhile.
+Two sessions run side by side. One gets the damaged bytes, the other the valid messages in them. Both must
+send the same bytes and have the same state. A recorder writes the log of the first.
 """
 
 from __future__ import annotations
@@ -36,11 +35,9 @@ STEP_US = 7_000
 
 
 class HostTarget:
-    """A session that asks one thing after the other of a vehicle.
+    """A session that runs one task after the other.
 
-    `give` takes bytes or, as a tuple, datagrams.
-
-    Raises Broken, or what the host's link raises that is none of its documented errors.
+    `give` takes bytes or a tuple of datagrams. It raises Broken, or any undocumented error of the link.
     """
 
     def __init__(self, source: Source, rng: Random, situation: int) -> None:
@@ -67,25 +64,26 @@ class HostTarget:
         a, b = self._sessions
         self.now_us += STEP_US
         if isinstance(data, tuple):
-            found = [one for datagram in data for one in valid_messages(datagram)]
-            said = (a.step(self.now_us, b"", data), b.step(self.now_us, b"", [one.frame for one in found]))
+            valid_ones = [one for datagram in data for one in valid_messages(datagram)]
+            valid = [one.frame for one in valid_ones]
+            answers = (a.step(self.now_us, b"", data), b.step(self.now_us, b"", valid))
         else:
-            found = valid_messages(data + FLUSH)
-            said = (
+            valid_ones = valid_messages(data + FLUSH)
+            answers = (
                 a.step(self.now_us, data + FLUSH),
-                b.step(self.now_us, b"".join(one.frame for one in found)),
+                b.step(self.now_us, b"".join(one.frame for one in valid_ones)),
             )
-        self.valid += len(found)
+        self.valid += len(valid_ones)
         for session in self._sessions:
             if session.error is not None:
                 raise session.error
             if session.done:
                 raise Broken("the session ended")
-        if said[0] != said[1]:
-            raise Broken("the host does not answer as it does to the valid messages alone")
-        held = [_held(session) for session in self._sessions]
-        if held[0] != held[1]:
-            raise Broken("the host is not in the state in which the valid messages alone leave it")
+        if answers[0] != answers[1]:
+            raise Broken("the host answers differently than to the valid messages alone")
+        states = [_state(session) for session in self._sessions]
+        if states[0] != states[1]:
+            raise Broken("the host's state differs from that after the valid messages alone")
 
 
 def _session(source: Source, situation: int) -> Session:
@@ -93,7 +91,7 @@ def _session(source: Source, situation: int) -> Session:
 
 
 def _script(source: Source, situation: int) -> Script:
-    """Everything that a host asks of a vehicle, again and again, whatever comes back."""
+    """Yield all kinds of tasks again and again, whatever the answers."""
     for k in itertools.count(situation):
         task = (
             lambda: FindVehicle("port"),
@@ -110,7 +108,7 @@ def _script(source: Source, situation: int) -> Script:
             continue
 
 
-def _held(session: Session) -> tuple[Any, ...]:
+def _state(session: Session) -> tuple[Any, ...]:
     client: Client = session.client
     clock = client.clock
     return (
@@ -152,12 +150,12 @@ def _vehicle(rng: Random) -> tuple[int, int]:
 
 
 def raw(target: HostTarget, rng: Random, source: Source) -> bytes:
-    """Any bytes."""
+    """Return random bytes."""
     return inputs.random_bytes(rng, LONGEST)
 
 
 def messages(target: HostTarget, rng: Random, source: Source) -> bytes:
-    """Messages of the dialect, most of them such as a vehicle sends."""
+    """Return messages of the dialect, mostly types that a vehicle sends."""
     draw = rng.random()
     if draw < 0.1:
         sent_us = target.now_us - 1000 * rng.choice((0, 5, 20, 400))
@@ -168,12 +166,12 @@ def messages(target: HostTarget, rng: Random, source: Source) -> bytes:
 
 
 def recorded(target: HostTarget, rng: Random, source: Source) -> bytes:
-    """Return what a vehicle once sent, damaged."""
+    """Return damaged recorded bytes of a vehicle."""
     return mutations.mutated(rng, source.down, LONGEST)
 
 
 def datagrams(target: HostTarget, rng: Random, source: Source) -> tuple[bytes, ...]:
-    """Datagrams of the camera system: damaged, of other programs, with odd numbers."""
+    """Return datagrams of the camera system: damaged, from other programs, or with unusual values."""
     return tuple(_datagram(target, rng, source) for _ in range(rng.choice((1, 1, 2, 3))))
 
 

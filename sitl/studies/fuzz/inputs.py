@@ -1,8 +1,8 @@
-"""Inputs for the fuzzer, and which valid messages are in them.
+"""Inputs for the fuzzer, and a search for the valid messages in them.
 
-Frames are packed here from the dialect's field tables and summed by pymavlink's checksum; the valid messages
-in any bytes are found by pymavlink's decoder, tried at every place. So neither shares code with what is
-tested. pymavlink's own stream parser is no measure: behind damage it drops as much as a false header claims.
+Frames are packed from the dialect's field tables with pymavlink's checksum. Valid messages are found by
+trying pymavlink's decoder at every offset. Neither shares code with the tested programs. pymavlink's stream
+parser cannot serve as the oracle: after damage, it drops as many bytes as a false header claims.
 """
 
 from __future__ import annotations
@@ -19,9 +19,9 @@ MAGIC = 0xFD
 HEADER_BYTES = 10
 SIGNATURE_BYTES = 13
 FLUSH = bytes(HEADER_BYTES + 255 + 2 + SIGNATURE_BYTES)
-"""After these no header that came before them is still waited for."""
+"""Padding after which no earlier header is still incomplete."""
 PRIVATE = 52100
-"""Ids from here on are ours: their messages have grown no extensions, a longer payload is none of theirs."""
+"""First id of Trimtab's messages. They have no extensions, so a longer payload is invalid."""
 
 _REFUSED = (mavlink.MAVError, struct.error, ValueError, IndexError, UnicodeDecodeError)
 _parser = mavlink.MAVLink(None)
@@ -61,7 +61,7 @@ REALS = (
 
 
 class Field(NamedTuple):
-    """Where a field lies in its message's payload: `values` values of `code` from byte `at` on."""
+    """A field in a message's payload: `values` values of type `code` from byte `at`."""
 
     name: str
     at: int
@@ -93,7 +93,7 @@ KINDS: dict[int, Kind] = {number: _kind(made) for number, made in mavlink.mavlin
 
 
 class Found(NamedTuple):
-    """A valid message in some bytes: the frame, where it ends, and what pymavlink reads in it."""
+    """A valid message in a byte string: the frame, its end, and the decoded message."""
 
     frame: bytes
     end: int
@@ -101,17 +101,15 @@ class Found(NamedTuple):
 
 
 def valid_messages(data: bytes) -> list[Found]:
-    """Return the valid messages in `data`, first come first: behind one the search goes on after its last
-    byte.
-    """
-    found: list[Found] = []
+    """Return the valid messages in `data` in order. After each, the search continues after its last byte."""
+    messages: list[Found] = []
     at = data.find(MAGIC)
     while 0 <= at <= len(data) - HEADER_BYTES - 2:
         one = _valid_at(data, at)
         if one is not None:
-            found.append(one)
+            messages.append(one)
         at = data.find(MAGIC, at + 1 if one is None else one.end)
-    return found
+    return messages
 
 
 def _valid_at(data: bytes, at: int) -> Found | None:
@@ -140,9 +138,7 @@ def frame(
     flags: int = 0,
     wrong: int = 0,
 ) -> bytes:
-    """Return a frame with this payload; `wrong` is put over its checksum, a signed one gets a signature of
-    zeros.
-    """
+    """Return a frame with this payload. `wrong` corrupts its checksum; a signature consists of zeros."""
     head = bytes([len(payload), flags, 0, sequence & 0xFF, *sender]) + number.to_bytes(3, "little")
     kind = KINDS.get(number)
     body = head + payload
@@ -166,7 +162,7 @@ def pack(number: int, **values: Any) -> bytes:
 
 
 def random_bytes(rng: Random, most: int) -> bytes:
-    """Bytes of any length up to `most`, some rich in what begins a message."""
+    """Return random bytes of any length up to `most`, some with many starts of messages."""
     size = rng.randrange(1, most) if rng.random() < 0.3 else rng.randrange(1, 1 + min(most, 120))
     data = bytearray(rng.randbytes(size))
     for _ in range(rng.choice((0, 0, 1, 3, 20))):
@@ -183,7 +179,7 @@ _NUMBERS = tuple(KINDS)
 def random_message(
     rng: Random, numbers: Sequence[int] = _NUMBERS, sender: Callable[[Random], tuple[int, int]] | None = None
 ) -> bytes:
-    """One frame of a message of the dialect: odd values, now and then wrong in one way or another."""
+    """Return a frame of a message of the dialect with unusual values, sometimes damaged."""
     kind = KINDS[rng.choice(numbers)]
     draw = rng.random()
     if draw < 0.3:
@@ -233,11 +229,11 @@ COMMANDS = (
     519,
     520,
 )
-"""Numbers that COMMAND_LONG and COMMAND_INT mostly carry; those that are not ours are to be refused."""
+"""Usual commands in COMMAND_LONG and COMMAND_INT. Those that Trimtab does not support must be refused."""
 
 
 def any_sender(rng: Random) -> tuple[int, int]:
-    """Mostly a ground station, now and then the vehicle itself or anybody."""
+    """Return a sender: mostly a ground station, sometimes the vehicle itself or any other."""
     draw = rng.random()
     if draw < 0.8:
         return (255, 190)
@@ -245,7 +241,7 @@ def any_sender(rng: Random) -> tuple[int, int]:
 
 
 def _put_odd(rng: Random, payload: bytearray, field: Field) -> None:
-    """One value of the field becomes an odd one."""
+    """Replace one value of the field by an unusual one."""
     size = _SIZES[field.code]
     at = field.at + size * rng.randrange(field.values)
     if field.code in "fd":

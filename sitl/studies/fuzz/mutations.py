@@ -16,7 +16,7 @@ _WORDS = (
 
 
 def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
-    """Return a stretch of a recording (a list of what was sent at a time), damaged in one or several ways."""
+    """Return a damaged part of a recording, which is a list of consecutive writes."""
     start, size = rng.randrange(len(pieces)), rng.randrange(1, 8)
     chosen = list(pieces[start : start + size])
     for _ in range(rng.randrange(1, 4)):
@@ -41,7 +41,7 @@ def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
 
 
 def mutated_file(rng: Random, content: bytes) -> bytes:
-    """Return a binary file with damage: bits and bytes changed, parts cut, repeated, moved or made up."""
+    """Return a damaged binary file: bits and bytes changed, parts cut, repeated or replaced."""
     data = bytearray(content)
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not data:
@@ -65,7 +65,7 @@ def mutated_file(rng: Random, content: bytes) -> bytes:
 
 
 def mutated_text(rng: Random, content: bytes) -> bytes:
-    """Return a TOML file with other numbers, words, lines; now and then no TOML any more."""
+    """Return a TOML file with changed numbers, words and lines, which may be invalid TOML."""
     lines = content.split(b"\n")
     for _ in range(rng.choice((1, 1, 2, 5))):
         act, at = rng.randrange(8), rng.randrange(len(lines))
@@ -92,7 +92,7 @@ def mutated_text(rng: Random, content: bytes) -> bytes:
 
 
 def _other_number(rng: Random, value: bytes) -> bytes:
-    """Return the text with one of its digits exchanged or repeated."""
+    """Return the text with one of its digits replaced or repeated."""
     places = [i for i, c in enumerate(value) if c in b"0123456789"]
     if not places:
         return value

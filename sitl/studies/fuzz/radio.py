@@ -1,4 +1,4 @@
-"""Fuzz the radio processor: bytes on its line and in its frames."""
+"""Fuzz target for the radio processors: bytes on their lines and in their frames."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from trimtab.sitl.studies.fuzz.source import Source
 
 
 class RadioTarget:
-    """Radio processors: the vehicle's between air and flight processor, the host's between port and air.
+    """The vehicle's radio between air and flight processor, and the host's radio between port and air.
 
-    Frames without a valid message must not change the flight processor, whose twin hears nothing; whatever
-    the host's port gets, only valid messages leave for the air, whole or in pieces that make one.
+    Frames without a valid message must not change the flight processor; a second one without any input serves
+    for comparison. The host's radio must send only valid messages, complete or in pieces.
     """
 
     def __init__(self, source: Source, rng: Random, situation: int) -> None:
@@ -36,7 +36,7 @@ class RadioTarget:
         self._pieces: dict[int, list[bytes]] = {}
 
     def give(self, data: bytes) -> None:
-        """Send the bytes through the air into the host's port."""
+        """Send the bytes to the host's port and, if they hold no valid message, to the vehicle's radio."""
         self._port.write(data, self.now_us)
         found = valid_messages(self._tail + data)
         self.valid += len(found)
@@ -52,23 +52,23 @@ class RadioTarget:
                 self._check_sent(sent)
 
     def _check_sent(self, sent: bytes) -> None:
-        """Check that a frame holds whole messages, or the next piece of one too long for a frame."""
-        what = f"the ground radio sends {sent.hex()}"
+        """Check that a frame holds complete messages, or the next piece of a long message."""
+        event = f"the ground radio sends {sent.hex()}"
         if len(sent) > FRAME_BYTES:
-            raise Broken(what)
-        data, most = sent, len(sent)
+            raise Broken(event)
+        data, limit = sent, len(sent)
         if sent[0] == PIECE:
             number, index, count = sent[1], sent[2] >> 4, sent[2] & 0x0F
             pieces = self._pieces.setdefault(number, [])
             if index != len(pieces) or index >= count:
-                raise Broken(f"{what}, a piece out of order")
+                raise Broken(f"{event}, a piece out of order")
             pieces.append(sent[PIECE_HEADER_BYTES:])
             if index + 1 < count:
                 return
-            data, most = b"".join(self._pieces.pop(number)), 1
+            data, limit = b"".join(self._pieces.pop(number)), 1
         whole = valid_messages(data)
-        if sum(len(one.frame) for one in whole) != len(data) or len(whole) > most:
-            raise Broken(what)
+        if sum(len(one.frame) for one in whole) != len(data) or len(whole) > limit:
+            raise Broken(event)
 
     def _tick(self) -> None:
         self.now_us += TICK_US
@@ -84,7 +84,7 @@ class RadioTarget:
 
 
 def radio_frames(target: RadioTarget, rng: Random, source: Source) -> bytes:
-    """Frames of any bytes, of messages, and of recordings."""
+    """Return frames of random bytes, of messages, or of recordings."""
     draw = rng.random()
     if draw < 0.4:
         return inputs.random_bytes(rng, 300)

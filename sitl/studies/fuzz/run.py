@@ -1,7 +1,7 @@
-"""Runs the fuzzer: inputs of every kind in batches, each of a seed of its own, over one process or several.
+"""Run of the fuzzer: inputs of every kind in batches, each with its own seed, over one or several processes.
 
-A batch begins with fresh instances in one of its target's situations; its inputs follow from seed, kind and
-number alone, so that any of them is made again together with all that came before it in its batch.
+A batch begins with new instances in one of its target's situations. Its inputs depend on seed, kind and
+number alone, so any input can be replayed with all earlier ones of its batch.
 """
 
 from __future__ import annotations
@@ -20,17 +20,17 @@ from trimtab.sitl.studies.fuzz import files, host, radio, vehicle
 from trimtab.sitl.studies.fuzz.source import Source, record
 
 BATCH = 1_000
-"""Inputs that meet the same instances."""
+"""Number of inputs for the same instances."""
 
 CRASHES_MAX = 10
-"""A batch with more of them ends early."""
+"""A batch with this many crashes ends early."""
 
-Progress = Callable[[int, int, str], None]
-"""(inputs done, inputs in all, a short text)."""
+OnProgress = Callable[[int, int, str], None]
+"""Called with the inputs done, the total, and a detail text."""
 
 
 class Kind(NamedTuple):
-    """A kind of inputs: its share of a thousand, what it is given to, what makes one."""
+    """A kind of inputs: its share per thousand, its target, and the function that makes an input."""
 
     share: int
     target: Callable[[Source, Random, int], Any]
@@ -54,7 +54,7 @@ KINDS: dict[str, Kind] = {
 
 @dataclass(frozen=True, kw_only=True)
 class Crash:
-    """An input that did what none may: `index` counts within its kind; `data` is the input as hex."""
+    """An input that violated a rule. `index` counts within its kind; `data` is the input as hex."""
 
     kind: str
     seed: int
@@ -66,7 +66,7 @@ class Crash:
 
 @dataclass(frozen=True, kw_only=True)
 class FuzzReport:
-    """What a run found: inputs given, by kind too, valid messages (or files) among them, and crashes."""
+    """Result of a run: inputs in total and by kind, valid messages or files among them, and crashes."""
 
     seed: int
     inputs: int
@@ -92,14 +92,14 @@ class _Outcome(NamedTuple):
 def run_fuzz(
     inputs: int,
     seed: int,
-    progress: Progress = lambda done, total, detail: None,
+    on_progress: OnProgress = lambda done, total, detail: None,
     *,
     workers: int = 1,
     kinds: tuple[str, ...] = tuple(KINDS),
 ) -> FuzzReport:
-    """Return what `inputs` inputs of `kinds`, in proportion to their shares, brought about.
+    """Run `inputs` inputs of `kinds`, in proportion to their shares, and return the result.
 
-    The same inputs come from the same seed, however many processes share the work.
+    The same seed gives the same inputs for any number of processes.
     """
     batches = list(_batches(inputs, seed, kinds))
     total = sum(batch.inputs for batch in batches)
@@ -111,22 +111,20 @@ def run_fuzz(
             valid += outcome.valid
             crashes += outcome.crashes
             by_kind[outcome.kind] += outcome.inputs
-            progress(done, total, f"{len(crashes)} crashes")
+            on_progress(done, total, f"{len(crashes)} crashes")
     crashes.sort(key=lambda crash: (crash.kind, crash.index))
     return FuzzReport(seed=seed, inputs=done, valid=valid, by_kind=dict(by_kind), crashes=tuple(crashes))
 
 
 def replay(kind: str, seed: int, index: int) -> Crash | None:
-    """Return the crash that this input brings about after those before it in its batch; None where it is
-    mended.
-    """
+    """Replay an input after the earlier ones of its batch. Return its crash, or None if it is fixed."""
     number, at = divmod(index, BATCH)
     crashes = _run_recorded(_Batch(kind, seed, number, at + 1)).crashes
     return next((crash for crash in crashes if crash.index == index), None)
 
 
 def _batches(inputs: int, seed: int, kinds: tuple[str, ...]) -> Iterator[_Batch]:
-    """Batches of all kinds in turn, so that what is left of a run stays evenly mixed."""
+    """Return batches of all kinds in an evenly mixed order."""
     shares = {name: KINDS[name].share for name in kinds}
     whole = sum(shares.values())
     counts = {name: inputs * share // whole for name, share in shares.items()}
@@ -152,7 +150,7 @@ def _run_recorded(batch: _Batch) -> _Outcome:
 
 
 def _run(source: Source, batch: _Batch) -> _Outcome:
-    """All inputs of a batch; behind a crash the next one meets fresh instances."""
+    """Run all inputs of a batch. After a crash, the next input gets new instances."""
     kind = KINDS[batch.kind]
     seed = hashlib.sha256(f"{batch.kind} {batch.seed} {batch.number}".encode()).digest()
     rng = Random(seed)
@@ -192,5 +190,5 @@ def _close(target: Any) -> None:
 
 
 def _hex(data: Any) -> str:
-    """Return the input as hex; datagrams apart."""
+    """Return the input as hex, with datagrams separated by spaces."""
     return data.hex() if isinstance(data, bytes) else " ".join(part.hex() for part in data)

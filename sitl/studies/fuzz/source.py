@@ -1,4 +1,4 @@
-"""What the fuzzer damages: a real session's bytes in all directions, its log and blobs, the shipped files."""
+"""Originals that the fuzzer damages: bytes of a real session, its log and blobs, and the shipped files."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from pathlib import Path
 
 from trimtab.firmware_model.law.reference import septic
 from trimtab.firmware_model.storage.store import ReferenceStore
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.route import list_routes
 from trimtab.host.vehicle import Vehicle, list_vehicles, load_vehicle
@@ -46,12 +46,18 @@ thrust_max_n = 12.0
 
 @dataclass(frozen=True, kw_only=True)
 class Source:
-    """Real inputs, to be damaged.
+    """Originals of the inputs.
 
-    Fields:
-        up, down, poses: what host, vehicle and cameras sent in one session, write by write.
-        reference, feedforward: blobs on board. log: the flight's log.
-        texts: TOML files by what reads them (`vehicle`, `route`, `world`, `model`).
+    Attributes
+    ----------
+    up, down, poses
+        Writes of host, vehicle and cameras in one session.
+    reference, feedforward
+        Blobs on board.
+    log
+        Log of the flight.
+    texts
+        TOML files by kind (`vehicle`, `route`, `world`, `model`).
     """
 
     vehicle: Vehicle
@@ -65,7 +71,7 @@ class Source:
 
 
 class _Tapped(SimulatedVehicle):
-    """A vehicle whose lines are listened to."""
+    """A vehicle that records its input and output."""
 
     def __init__(self, setting: Setting, flight: int, store: ReferenceStore) -> None:
         super().__init__(setting, flight, store)
@@ -90,7 +96,7 @@ class _Tapped(SimulatedVehicle):
 
 
 def short_reference(vehicle: Vehicle, seconds: float = 1.2, reach: float = 0.5) -> Reference:
-    """There and back, at rest at both ends."""
+    """Return a reference north by `reach` and back, at rest at both ends."""
     nodes, us = [], round(1e6 * seconds)
     for leg, (start, end) in enumerate(((0.0, reach), (reach, 0.0))):
         for k in range(4 + leg):
@@ -104,7 +110,7 @@ def short_reference(vehicle: Vehicle, seconds: float = 1.2, reach: float = 0.5) 
 
 @lru_cache(maxsize=1)
 def record() -> Source:
-    """Return a short flight in the empty world, uploads included, and everything that went over its lines."""
+    """Fly briefly in the empty world, including uploads, and return the recorded bytes and files."""
     vehicle = load_vehicle("research")
     reference = short_reference(vehicle)
     feedforward = FeedForward(
@@ -117,11 +123,11 @@ def record() -> Source:
     tapped = _Tapped.create(vehicle, world="empty")
     with tempfile.TemporaryDirectory() as folder:
         path = Path(folder) / "flight.mcap"
-        order = FlightOrder(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
-        fly_lockstep(order, tapped)
+        request = FlightRequest(vehicle=vehicle, reference=reference, feedforward=feedforward, log_path=path)
+        fly_lockstep(request, tapped)
         log = path.read_bytes()
     files = {"vehicle": list_vehicles(), "route": list_routes(), "world": list_worlds()}
-    texts = {what: tuple(path.read_bytes() for path in found.values()) for what, found in files.items()}
+    texts = {kind: tuple(path.read_bytes() for path in paths.values()) for kind, paths in files.items()}
     texts["model"] = (_MODEL.format(vehicle=vehicle).encode(),)
     return Source(
         vehicle=vehicle,

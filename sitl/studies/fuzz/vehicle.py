@@ -1,12 +1,12 @@
-"""Bytes towards the vehicle: into the flight processor's line, and through the radios.
+"""Fuzz target for the flight processor: bytes on its serial line.
 
-Two flight processors run side by side. One gets the damaged bytes, the other only the valid messages that
-are in them and meant for it. After every tick both must be in the same state, down to all that the law is
-given and all that goes out on the line: so bytes without a valid message change nothing, and damage costs
-none of its neighbours. What valid messages may change is then checked by rules.
+Two flight processors run side by side. One gets the damaged bytes, the other only the valid messages in them
+that are addressed to it. After every tick both must have the same state, including the inputs of the control
+law and the bytes on the line. So bytes without a valid message change nothing, and damage does not affect
+adjacent messages. Rules then check the changes that valid messages cause.
 
-The law is the real one, compiled; body and sensors are not there (a vehicle that hangs in the air, with a
-little noise), since only reactions to bytes are looked at.
+The control law is the real one, compiled. Plant and sensors are replaced by constant measurements with a
+little noise, because only reactions to bytes matter.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from trimtab.sitl.studies.fuzz.inputs import FLUSH, Found, frame, pack, valid_me
 from trimtab.sitl.studies.fuzz.source import Source
 
 LONGEST = 1_600
-"""Bytes of an input: with FLUSH less than the receive buffer, so that none are lost."""
+"""Greatest size of an input. With FLUSH it fits the receive buffer, so that no byte is lost."""
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 
 
@@ -40,9 +40,9 @@ _LIVE, _STAGED = (5, 7), (6, 8)
 
 
 class VehicleTarget:
-    """The flight processor in one of several situations, chosen by `situation` (any whole number).
+    """The flight processor in one of several situations, chosen by the integer `situation`.
 
-    `give` is called with each input and raises Broken, or whatever the firmware raises.
+    `give` takes an input and raises Broken, or any error of the firmware.
     """
 
     SITUATIONS = ("standby", "flying", "receiving", "armed", "booting", "empty")
@@ -63,7 +63,7 @@ class VehicleTarget:
             self._prepare(name)
 
     def _prepare(self, name: str) -> None:
-        """Boots with poses; then what the situation asks for."""
+        """Boot with poses, then bring the flight processor into the situation."""
         for k in range(900):
             if k % 10 == 0:
                 self.give(self.pose())
@@ -77,22 +77,22 @@ class VehicleTarget:
             for _ in range(3):
                 self.give(self.upload_step())
 
-    # What a host would send.
+    # Messages of a host.
 
     def pose(self) -> bytes:
-        """Return a pose as the host would forward it now."""
+        """Return a pose as the host would forward it at this time."""
         at_us = max(0, self.now_us - 8_000)
         payload = pack(m.AttPosMocap.id, time_usec=at_us, q=(1.0, 0.0, 0.0, 0.0), x=0.0, y=0.0, z=-0.01)
         return frame(m.AttPosMocap.id, payload)
 
     def command(self, number: int, *parameters: float) -> bytes:
-        """COMMAND_LONG to this vehicle."""
+        """Return a COMMAND_LONG to this vehicle."""
         named = {f"param{k}": value for k, value in enumerate(parameters, start=1)}
         payload = pack(m.CommandLong.id, command=number, target_system=1, target_component=1, **named)
         return frame(m.CommandLong.id, payload)
 
     def upload_step(self) -> bytes:
-        """Return the next message of an upload that is under way or begins."""
+        """Return the next message of the current upload, or the first of a new one."""
         kind, blob = self._uploading
         digest = _digest(blob)
         chunks = -(-len(blob) // CHUNK_BYTES)
@@ -118,7 +118,7 @@ class VehicleTarget:
         return Kind.REFERENCE, bytes(blob)
 
     def sensible(self) -> bytes:
-        """Something that a host sends: so that messages get beyond the first check."""
+        """Return a message that a host could send, which passes the first checks."""
         rng = self._rng
         draw = rng.randrange(12)
         if draw < 4:
@@ -143,7 +143,7 @@ class VehicleTarget:
     # One input.
 
     def give(self, data: bytes) -> None:
-        """Deliver `data` within one tick and check what may not change."""
+        """Deliver `data` within one tick and check the rules."""
         data = data[:LONGEST]
         found = valid_messages(data + FLUSH)
         self.valid += len(found)
@@ -164,12 +164,12 @@ class VehicleTarget:
         a, b = self._a.state(), self._b.state()
         self._state = a
         if a != b:
-            what = ", ".join(name for name, x, y in zip(_STATE, a, b, strict=True) if x != y)
-            raise Broken(f"not as with the valid messages alone: {what}")
-        said_a, said_b = self._a.said(now_us + 900), self._b.said(now_us + 900)
-        if said_a != said_b:
+            names = ", ".join(name for name, x, y in zip(_STATE, a, b, strict=True) if x != y)
+            raise Broken(f"differs from the state after the valid messages alone: {names}")
+        sent_a, sent_b = self._a.messages(now_us + 900), self._b.messages(now_us + 900)
+        if sent_a != sent_b:
             raise Broken(
-                f"{len(said_a)} messages said, {len(said_b)} with the valid messages alone, or others"
+                f"sent messages ({len(sent_a)}) differ from those ({len(sent_b)}) with valid messages alone"
             )
 
     def _check_rotors(self) -> None:
@@ -181,7 +181,7 @@ class VehicleTarget:
         self._was_flying = self._a.mcu.state in FLYING
 
     def _check_rules(self, before: tuple[Any, ...], after: tuple[Any, ...], found: list[Found]) -> None:
-        """Check that what changed was changed by a message that may."""
+        """Check that every change has a message that permits it."""
         kinds = {one.message.get_type() for one in found if _for_us(one)}
         self._asked = self._asked or any(_commits(one) for one in found)
         self._armed = self._armed or not kinds.isdisjoint(_COMMANDS)
@@ -220,17 +220,17 @@ def _digest(blob: bytes) -> bytes:
 
 
 def raw(target: VehicleTarget, rng: Random, source: Source) -> bytes:
-    """Any bytes."""
+    """Return random bytes."""
     return inputs.random_bytes(rng, LONGEST)
 
 
 def messages(target: VehicleTarget, rng: Random, source: Source) -> bytes:
-    """Messages of the dialect, sensible ones among them."""
+    """Return messages of the dialect, some of them sensible."""
     if rng.random() < 0.35:
         return target.sensible()
     return b"".join(inputs.random_message(rng) for _ in range(rng.choice((1, 1, 1, 2, 4))))
 
 
 def recorded(target: VehicleTarget, rng: Random, source: Source) -> bytes:
-    """Return what a host once sent, damaged."""
+    """Return damaged recorded bytes of a host."""
     return mutations.mutated(rng, source.up, LONGEST)

@@ -1,1 +1,1 @@
-"""Scoring of sealed worlds: the one place that opens a truth, and only beside a verdict."""
+"""Scoring of sealed worlds. Only this package opens a truth, and only after the verdict is written."""

@@ -1,8 +1,8 @@
 """Other methods on the same logs: sparse regression in weak form, stepwise regression, a network alone.
 
-Both regressions have the library's forms as columns, linearised at the nominal vehicle, and accelerations as
-data: measured specific force, and the growth of the measured body rate, less what the nominal model says
-along the measured states. What acts on poses alone has no column there, wind none without a drag.
+The columns of both regressions are the library's effects, linearised at the nominal vehicle. Their data are
+accelerations: measured specific force, and the derivative of the measured body rate, minus the nominal model
+along the measured states. Effects on poses alone have no column, nor has wind without a drag.
 """
 
 from __future__ import annotations
@@ -31,34 +31,34 @@ from trimtab.sitl.studies.scoring.names import collapsed
 
 BASELINES = "baselines.json"
 RUN_S = 0.1
-"""Stretches of flight that the regressions compare, begun from the measured state."""
+"""Duration of the pieces of flight that the regressions compare, each from the measured state."""
 
 WINDOW_S = 0.4
 THRESHOLD = 0.25
 """Typical sizes below which a term of the sparse regression is dropped."""
 
 BIC_GAIN = 10.0
-"""Least gain of the information criterion for another effect."""
+"""Minimum gain of the information criterion for another effect."""
 
 MOST_EFFECTS = 6
 LEAST = 0.05
-"""Root mean square of a column, in usual turbulence, below which flights do not show it."""
+"""Root mean square of a column, over nominal turbulence, below which flights do not show it."""
 
 _SCALE = np.array([0.04] * 3 + [0.5] * 3)
 _STEP = 1e-4
 
 
 def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
-    """Return what the other methods say of a world that has its score, kept as a file in its folder.
+    """Apply the other methods to a scored world, and return and store their results.
 
-    By method: names found (None for one that names nothing), whether the first and the set are right, and the
-    error on held-out flights, m, where the method predicts. Raises StudyError where there is no score yet or
+    For each method: names (None if it names nothing), whether the first name and the set are correct, and the
+    error on held-out flights, m, if the method predicts. Raises StudyError if there is no score yet or
     PySINDy is not installed.
     """
     if (folder / BASELINES).is_file():
         return read_json(folder / BASELINES)
     if not (folder / SCORE).is_file():
-        raise StudyError(f"world {folder.name}: other methods are judged once there is a score")
+        raise StudyError(f"world {folder.name}: other methods can run only after the world is scored")
     truth = read_json(folder / TRUTH)
     kinds, vehicle = truth["kinds"], load_vehicle(truth["vehicle"])
     effects = load_effects()
@@ -74,7 +74,7 @@ def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
 
 
 def _judged(names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect]) -> dict[str, Any]:
-    """Names, the strongest first, against the truth."""
+    """Compare names, the strongest first, with the truth."""
     names = list(dict.fromkeys(name.partition(".")[0] for name in names))
     truth = collapsed(kinds, kinds, effects)
     return {
@@ -86,8 +86,10 @@ def _judged(names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect
 
 
 def _series(vehicle: Vehicle, space: ParameterSpace, flights: Sequence[Flight]) -> list[np.ndarray]:
-    """For each flight (n, 6, 1 + P) every DT_S: residual accelerations and their slopes in scaled
-    parameters, over the usual turbulence; specific force, then angular acceleration, FRD.
+    """Return residual accelerations and their slopes (n, 6, 1 + P) for each flight, every DT_S.
+
+    Slopes are in scaled parameters. Channels are specific force and angular acceleration, FRD, over nominal
+    turbulence.
     """
     data, _ = segments_of(
         [FlightData.of(flight) for flight in flights],
@@ -114,27 +116,27 @@ def _series(vehicle: Vehicle, space: ParameterSpace, flights: Sequence[Flight]) 
 
 
 def _shown(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
-    """Candidates that the flights can show: at their typical size above LEAST, as tracing leaves out the sag
-    of a battery that stayed full.
-    """
+    """Return the candidates that exceed LEAST at their typical size (not the sag of a full battery)."""
     rms = np.sqrt(np.mean([(s[:, :, 1:] ** 2).mean((0, 1)) for s in series], axis=0))
     return [name for name in space.candidates if max(rms[i] for i in space.groups[name]) > LEAST]
 
 
 def weak_sindy(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
-    """Effects with a term in PySINDy's weak-form sparse regression, the greatest term first.
+    """Return the effects with a term in PySINDy's weak-form sparse regression, the greatest term first.
 
-    Every channel of every flight is a trajectory of one integrated residual; the library's columns are its
-    inputs, so that all channels share the coefficients. Raises StudyError where PySINDy is not installed.
+    Every channel of every flight is a trajectory of an integrated residual. The library's columns are its
+    inputs, so all channels share the coefficients. Raises StudyError if PySINDy is not installed.
     """
     try:
         pysindy: Any = importlib.import_module("pysindy")
         base: Any = importlib.import_module("pysindy.feature_library.base")
     except ImportError:
-        raise StudyError("PySINDy is not installed, `pip install pysindy` or leave out --baselines") from None
+        raise StudyError(
+            "PySINDy is not installed; run `pip install pysindy` or leave out --baselines"
+        ) from None
 
     class Inputs(base.BaseFeatureLibrary):
-        """The inputs as they are, without the state."""
+        """The unchanged inputs, without the state."""
 
         @base.x_sequence_or_item
         def fit(self, x_full: Any, y: Any = None) -> Inputs:
@@ -172,9 +174,9 @@ def weak_sindy(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]
 
 
 def stepwise_bic(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
-    """Effects that forward selection takes by the Bayesian information criterion, in that order.
+    """Return the effects that forward selection by the Bayesian information criterion adds, in that order.
 
-    Weak form too: means over windows with a bump that overlap by half.
+    The regression is in weak form: means over bump-weighted windows that overlap by half.
     """
     width = round(WINDOW_S / DT_S)
     bump = (1.0 - np.linspace(-1.0, 1.0, width) ** 2) ** 4
@@ -206,18 +208,18 @@ def stepwise_bic(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[st
 
 
 def _network(folder: Path, used: Sequence[str], held_out: Sequence[str]) -> float | None:
-    """Position error, m, on the held-out flights of the paper's network alone; None where it failed."""
+    """Return the position error, m, of the paper's network alone on held-out flights; None if it failed."""
     words = ["learn", *used, "--hold-out", *held_out, "-o", "network.model.toml", "--force"]
     done = run_apart(words, folder)
-    for left in folder.glob("network.model.*"):
-        left.unlink()
+    for path in folder.glob("network.model.*"):
+        path.unlink()
     return (done.data.get("test") or {}).get("position_rmse_m") if done.code == 0 else None
 
 
 def _responses(vehicle: Vehicle, space: ParameterSpace, data: Segments, z: np.ndarray) -> np.ndarray:
-    """Specific force and body rate (lanes, S, H, 6), FRD, of the library's forms at scaled z (P, lanes).
+    """Return specific force and body rate (batch, S, H, 6), FRD, of the effects at scaled z (P, batch).
 
-    Means over the data's steps, from its states under its motor commands.
+    They are means over the steps of the data, from its states under its motor commands.
     """
     lanes = z.shape[1]
     x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)

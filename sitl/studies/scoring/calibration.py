@@ -1,4 +1,4 @@
-"""What flights of a world without effects measure for the rules of tracing."""
+"""Quantities for the rules of tracing, measured from flights in a world without effects."""
 
 from __future__ import annotations
 
@@ -21,16 +21,20 @@ from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.studies.scoring.effective import deviations_scaled
 
-Twins = Sequence[tuple[int, int]]
+RepeatPairs = Sequence[tuple[int, int]]
 
 
 class Measured(NamedTuple):
-    """Numbers of one world.
+    """Quantities of one world.
 
-    repeat_share: repeatable power of whole flights over turbulence and noise, some standard errors down.
-    slope_power: mean power of twin differences along the whitened slopes; 1 where the innovations are white.
-    error_power: mean square error of the estimates over the variance that the fit tells, chance and the
-    forms' own errors together.
+    Attributes
+    ----------
+    repeat_share
+        Lower bound of the power that repeats between flights, over turbulence and noise.
+    slope_power
+        Mean power of differences of repeat flights along the whitened slopes; 1 for white innovations.
+    error_power
+        Mean square error of the estimates over the reported variance, from chance and model error together.
     """
 
     repeat_share: float
@@ -48,9 +52,9 @@ def rules_in_force() -> dict[str, float]:
 
 
 def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, float]) -> Measured:
-    """Return what the logs of one world measure; every reference is flown twice.
+    """Return the quantities measured from the logs of one world, in which every reference is flown twice.
 
-    `deviations`: what the build is off by, by "effect.parameter".
+    `deviations` are those of the build, by "effect.parameter".
     """
     logs = read_logs([read_flight(path) for path in paths], [], vehicle)
     chosen = space(vehicle, load_effects())
@@ -77,11 +81,11 @@ def _slope_power(
     white: Whitening,
     residuals: Sequence[np.ndarray],
     slopes: Sequence[np.ndarray],
-    twins: Twins,
+    repeat_pairs: RepeatPairs,
 ) -> float:
-    """Return the mean over twins and parameters of (S e)^2 / |S|^2, e the twins' difference over sqrt(2)."""
+    """Return the mean of (S e)^2 / |S|^2, with e the difference of two repeat flights over sqrt(2)."""
     powers = []
-    for a, b in twins:
+    for a, b in repeat_pairs:
         bins = min(len(residuals[a]), len(residuals[b]))
         known = loop.known[a][:bins] & loop.known[b][:bins]
         difference = (residuals[a][:bins] - residuals[b][:bins]) / np.sqrt(2.0)
@@ -96,10 +100,10 @@ def _slope_power(
 def _error_power(
     chosen: ParameterSpace, gram: np.ndarray, theta_scaled: np.ndarray, true: np.ndarray
 ) -> float:
-    """Return the mean square error of the estimates over the variance that the fit tells.
+    """Return the mean square error of the estimates over the reported variance.
 
-    Each candidate is selected alone. gram (1 + P, 1 + P) of all flights, linearised at theta_scaled (P,);
-    true (P,): what the build is off by.
+    Each candidate is selected alone. `gram` (1 + P, 1 + P) is of all flights, linearised at theta_scaled
+    (P,). `true` (P,) are the deviations of the build.
     """
     squares = []
     for candidate in chosen.candidates:

@@ -1,11 +1,11 @@
 """The effective parameters of a sealed world: the noise-free fit of the library's forms to its plant.
 
-The plant is somebody else's physics, so its own numbers are no truth for a form of the library. The
-world's references are flown once more in still air with perfect sensors; phi with the world's effects free,
-and with what the build is off by free within tolerance around what was drawn, is fitted to these whole
-flights, counted as often as each was flown and weighted by the turbulence and noise of the flights that were
-traced. What comes out is the truth, its held-out error the floor, its covariance the bound (Cramer and
-Rao's).
+The plant has its own physics, so its parameters are not the truth for the library's forms. The world's
+references are therefore flown once more in still air with perfect sensors. The closed-loop model phi is
+fitted to these flights, with the world's effects free and the build's deviations free within tolerance around
+the drawn ones. Each flight counts as often as it was flown, and is weighted by the turbulence and noise of
+the traced flights. The fit is the truth, its held-out error the floor, and its covariance the Cramer-Rao
+bound.
 """
 
 from __future__ import annotations
@@ -35,10 +35,10 @@ Values = dict[str, dict[str, float]]
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Effective:
-    """A world as the library's forms tell it, and what its flights allow to know of that.
+    """A world in terms of the library's forms, with the information in its flights.
 
-    candidates: by name of the effect, what tracing calls it. z (P,) and covariance (P, P) scaled; gram (P, P)
-    of the whitened slopes.
+    `candidates` maps the name of an effect to the candidate of tracing. `z` (P,) and `covariance` (P, P) are
+    scaled. `gram` (P, P) is of the whitened slopes.
     """
 
     space: ParameterSpace
@@ -49,7 +49,7 @@ class Effective:
 
     @property
     def values(self) -> Values:
-        """Everything that may be off, by owner and key."""
+        """All parameters, by owner and key."""
         return _values(self.space, self.z)
 
     def true(self) -> Values:
@@ -57,7 +57,7 @@ class Effective:
         return {name: self.values[name] for name in self.candidates}
 
     def bound_sd(self, name: str, key: str) -> float:
-        """Return the bound of a parameter: one sd."""
+        """Return the bound of a parameter, one standard deviation."""
         (i,) = (i for i in self.space.owners[name] if self.space.columns[i].key == key)
         return float(np.sqrt(self.covariance[i, i])) * self.space.columns[i].scale
 
@@ -70,10 +70,10 @@ def effective(
     still: Sequence[Flight],
     flights: Sequence[Flight],
 ) -> Effective:
-    """Return the effective parameters of a world that holds the `drawn` effects and the build's `deviations`.
+    """Return the effective parameters of a world with the `drawn` effects and the build's `deviations`.
 
-    still: each reference flown once in still air with perfect sensors; flights: as they were traced, with
-    twins. What `space` has no form of is left out.
+    `still` holds each reference flown once in still air with perfect sensors. `flights` are the traced ones,
+    with repeat flights. Effects without a form in `space` are left out.
     """
     candidates = {name: _candidate(space, name, drawn[name]) for name in drawn if name in space.effects}
     names = tuple(sorted(candidates.values()))
@@ -84,7 +84,7 @@ def effective(
     flown = closed_loop([FlightData.of(flight) for flight in flights], vehicle, space, z)
     white = turbulence(flown, z, order_of(flown), repeat_flights_of(flights))
     if white is None:
-        raise ValueError("the flights have no twins: their turbulence cannot be told from physics")
+        raise ValueError("there are no repeat flights, so turbulence cannot be distinguished from physics")
     loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z)
     z, covariance, grams = weighted(loop, white, names, z, centre=centre, count=len(flights) / len(still))
     gram = grams.sum(0)[1:, 1:]
@@ -92,9 +92,7 @@ def effective(
 
 
 def _candidate(space: ParameterSpace, name: str, values: Mapping[str, float]) -> str:
-    """Return what tracing calls an effect with these values: its name, or that of the one parameter off
-    neutral.
-    """
+    """Return the candidate of an effect with these values: its name, or its one parameter off neutral."""
     if name in space.groups:
         return name
     (key,) = [key for key, value in _away(space, name, values).items() if value]
@@ -102,18 +100,18 @@ def _candidate(space: ParameterSpace, name: str, values: Mapping[str, float]) ->
 
 
 def _away(space: ParameterSpace, name: str, values: Mapping[str, float]) -> dict[str, float]:
-    """By how much each parameter of an effect is off neutral."""
+    """Return the distance of each parameter of an effect from neutral."""
     columns = [space.columns[i] for i in space.owners[name]]
     return {column.key: values.get(column.key, column.neutral) - column.neutral for column in columns}
 
 
 def deviations_scaled(space: ParameterSpace, away: Mapping[str, float]) -> np.ndarray:
-    """Return the scaled parameters (P,) of what is off neutral, by "effect.parameter"."""
+    """Return the scaled parameters (P,) of distances from neutral by "effect.parameter"."""
     return np.array([away.get(f"{c.owner}.{c.key}", 0.0) / c.scale for c in space.columns])
 
 
 def off_by(space: ParameterSpace, deviations: Mapping[str, float]) -> Values:
-    """Values by owner and key of a world without effects, with what the build is off by."""
+    """Return the values by owner and key of a world without effects, with the build's deviations."""
     return _values(space, deviations_scaled(space, deviations))
 
 
@@ -125,9 +123,9 @@ def _values(space: ParameterSpace, z: np.ndarray) -> Values:
 
 
 def nearest(known: Effective) -> dict[str, dict[str, float]]:
-    """Sigma of each effect, by name, against each other candidate: which one is as large as it likes.
+    """Return the separation, sigma, of each effect from each other candidate of any size.
 
-    Of effects of which only ratios show, none is an alias of another one.
+    Effects of which flights show only ratios do not count as aliases of each other.
     """
     space, prior = known.space, prior_of(known.space)
     same = [ratio.effects for ratio in ratios(space.effects)]
@@ -142,7 +140,7 @@ def nearest(known: Effective) -> dict[str, dict[str, float]]:
 
 
 def is_identifiable(separations: Mapping[str, Mapping[str, float]]) -> bool:
-    """Whether every effect stands out of every alias."""
+    """Return whether every effect is separated from every alias."""
     return all(min(each.values(), default=np.inf) >= RULES.detectable_sigma for each in separations.values())
 
 
@@ -153,7 +151,7 @@ def floor_m(
     names: Collection[str],
     held_out: Sequence[Flight],
 ) -> float:
-    """Position RMSE, m, on held-out flights of the model with all `values`, of which `names` are effects."""
+    """Return the position RMSE, m, on held-out flights of the model with `values`; `names` are effects."""
     tables: dict[bool, dict[str, dict[str, float]]] = {True: {}, False: {}}
     for owner, table in values.items():
         tables[owner in names][owner] = dict(table)

@@ -31,13 +31,13 @@ Scores = Sequence[Mapping[str, Any]]
 def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
     """Return the Clopper-Pearson interval of `hits` in `count`. Raises ValueError for an impossible count."""
     if not 0 <= hits <= count or count < 1:
-        raise ValueError(f"{hits} hits of {count} are no share")
+        raise ValueError(f"{hits} hits of {count} are impossible")
     interval = binomtest(hits, count).proportion_ci(confidence, method="exact")
     return float(interval.low), float(interval.high)
 
 
 def summary(scores: Scores) -> dict[str, Any]:
-    """Return the figures of a study as plain data, by the machine's keys; None if nothing was counted.
+    """Return the figures of a study as plain data, by JSON key; None if nothing was counted.
 
     `n` and `interval` have the keys of the figures. `by_family` repeats coverage and width by family. `thin`
     counts outcomes by case.
@@ -141,9 +141,9 @@ def _thin(scores: Scores) -> dict[str, int]:
 
 
 def relative_errors(scores: Scores) -> list[dict[str, Any]]:
-    """Errors over the truth's distance from neutral, of truths at least typical and SURE_SIGMA strong.
+    """Return errors over the truth's distance from neutral, for truths of typical size and SURE_SIGMA.
 
-    Two numbers that were drawn as one vector count as one: the length of the error over that of the vector.
+    Two values that were drawn as one vector count as one: the length of the error over that of the vector.
     """
     out = []
     for score in scores:
@@ -169,7 +169,7 @@ def relative_errors(scores: Scores) -> list[dict[str, Any]]:
 
 
 def is_right(score: Mapping[str, Any]) -> bool:
-    """Whether a verdict is the one that was to be hoped for."""
+    """Return whether a verdict is correct."""
     if score["class"] == "thin":
         return score["told"] and outcome(score) in THIN_GOOD
     wanted = {"none": "nothing-missing", "outside": "outside-library"}
@@ -179,7 +179,7 @@ def is_right(score: Mapping[str, Any]) -> bool:
 
 
 def deviations(scores: Scores) -> dict[str, list[float]]:
-    """Errors of all parameters of effects named rightly, in reported standard deviations, by family."""
+    """Return errors of the parameters of correctly named effects, in reported sd, by family."""
     out: dict[str, list[float]] = {name: [] for name in FAMILIES}
     for score in scores:
         for row in score["parameters"]:
@@ -189,11 +189,11 @@ def deviations(scores: Scores) -> dict[str, list[float]]:
 
 
 def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
-    """Figures of tracing and of the methods set beside it, of the same worlds; empty where none were.
+    """Return the figures of tracing and of other methods on the same worlds; empty without other methods.
 
-    `top1` (single effects), `pairs_exact` and `false_alarm` are shares, `n` their counts, None and 0 for a
-    method that names nothing; `named_mean` is how many effects it names where some are, `after_mm_median` its
-    error on held-out flights.
+    `top1` (single effects), `pairs_exact` and `false_alarm` are shares and `n` their counts; for a method
+    that names nothing, they are None and 0. `named_mean` is the mean number of effects named in worlds with
+    effects, `after_mm_median` the error on held-out flights.
     """
     judged = [s for s in scores if s["baselines"]]
     methods = list(dict.fromkeys(name for s in judged for name in s["baselines"]))
@@ -204,9 +204,7 @@ def baseline_rows(scores: Scores) -> list[dict[str, Any]]:
 
 
 def _as_baseline(score: Mapping[str, Any]) -> dict[str, Any]:
-    """Return what tracing said of a world, in the words of the other methods: whatever is named counts as
-    named.
-    """
+    """Return the answer of tracing in the form of the other methods; every named effect counts."""
     alarm = ["something"] if score["verdict"] != "nothing-missing" else []
     return {
         "names": alarm if score["class"] == "none" else score["named"],
@@ -235,9 +233,9 @@ def _baseline_row(method: str, said: Sequence[tuple[str, Mapping[str, Any]]]) ->
 
 
 def confusion(scores: Scores) -> dict[str, dict[str, int]]:
-    """Worlds by what was true (a kind, a pair of kinds, or nothing) and what was named first.
+    """Count worlds by the truth (a kind, a pair of kinds, or nothing) and the effect named first.
 
-    A verdict that names nothing counts under its own word. Thin data are left out.
+    A verdict without names counts under its own name. Thin data are left out.
     """
     scores = [s for s in scores if s["class"] != "thin"]
     table: dict[str, dict[str, int]] = {}

@@ -1,4 +1,4 @@
-"""How names are compared: what counts as the same effect, and which was named first."""
+"""Comparison of names: which effects count as the same, and which was named first."""
 
 from __future__ import annotations
 
@@ -12,16 +12,16 @@ from trimtab.host.effects import Effect
 
 @dataclass(frozen=True, kw_only=True)
 class Ratio:
-    """Effects of which flights show ratios only.
+    """Effects of which flights show only ratios.
 
     Attributes
     ----------
     name
-        What flights do show of the two that fit exactly alike.
+        Name of the ratio of the two exact aliases.
     over, under
-        Those two: the ratio is of the first one's first parameter to the second one's.
+        The exact aliases: the ratio is that of their first parameters.
     relative
-        Effects that flights show relative to one of the two.
+        Effects that flights show only relative to one of the two.
     """
 
     name: str
@@ -31,17 +31,17 @@ class Ratio:
 
     @property
     def alike(self) -> frozenset[str]:
-        """Names of the two that fit exactly alike."""
+        """Names of the two exact aliases."""
         return frozenset({self.over.name, self.under.name})
 
     @property
     def effects(self) -> frozenset[str]:
-        """Names of all of them: no flight tells any two apart."""
+        """Names of all effects of the ratio, which flights cannot distinguish."""
         return self.alike | self.relative
 
 
 def ratios(effects: Mapping[str, Effect]) -> list[Ratio]:
-    """Return the ratios that flights show in place of what the effects themselves are."""
+    """Return the ratios that flights show instead of the effects themselves."""
     return [
         Ratio(
             name=alias.ratio.replace(" ", "-"),
@@ -60,21 +60,21 @@ def ratios(effects: Mapping[str, Effect]) -> list[Ratio]:
 
 
 def collapsed(names: Iterable[str], truth: Iterable[str], effects: Mapping[str, Effect]) -> frozenset[str]:
-    """`names` with everything that fits exactly alike under one name.
+    """Return `names` with exact aliases under one name.
 
-    Mass and thrust gain are told apart by no flight. Thrust, mass and inertia together show two ratios only:
-    where mass or thrust gain is true, an inertia beside its alias says the same thing again.
+    No flight distinguishes mass from thrust gain. Thrust, mass and inertia together show only two ratios: if
+    mass or thrust gain is true, an inertia beside the alias is the same statement again.
     """
-    found, true = set(names), set(truth)
+    merged, true = set(names), set(truth)
     for ratio in ratios(effects):
-        if found & ratio.alike:
-            found -= ratio.effects if true & ratio.alike else ratio.alike
-            found.add(ratio.name)
-    return frozenset(found)
+        if merged & ratio.alike:
+            merged -= ratio.effects if true & ratio.alike else ratio.alike
+            merged.add(ratio.name)
+    return frozenset(merged)
 
 
 def ordered(effects: Iterable[Mapping[str, Any]]) -> list[str]:
-    """Names of a verdict's effects, the surest first: by probability, then by size in standard deviations."""
+    """Return the names of a verdict's effects by probability, then by size in standard deviations."""
 
     def sureness(effect: Mapping[str, Any]) -> tuple[float, float]:
         size = sum(
@@ -87,5 +87,5 @@ def ordered(effects: Iterable[Mapping[str, Any]]) -> list[str]:
 
 
 def _score(value: float, sd: float, neutral: float) -> float:
-    """Squared distance from neutral in standard deviations."""
+    """Return the squared distance from neutral in standard deviations."""
     return ((value - neutral) / sd) ** 2 if sd > 0.0 else math.inf

@@ -1,4 +1,4 @@
-"""The score of one world: its truth, opened once the verdict is a file, against that verdict."""
+"""Score of one world: comparison of the verdict with the truth, which is opened after the verdict."""
 
 from __future__ import annotations
 
@@ -25,18 +25,18 @@ from trimtab.sitl.studies.scoring.names import Ratio, collapsed, ordered, ratios
 from trimtab.sitl.studies.thin import CASES
 
 INSIDE = ("single", "pair", "none")
-"""Classes of worlds in which the host has a form of everything, and enough data to hold numbers against."""
+"""Classes of worlds whose effects are all in the library and whose data suffice to compare numbers."""
 
 
 def library() -> dict[str, Effect]:
-    """Return the effects that the host has a form of, by name."""
+    """Return the host's effect library by name."""
     return load_effects()
 
 
 def open_truth(folder: Path, ledger: Ledger) -> dict[str, Any]:
-    """Return the truth of a world whose verdict is a file, as it was sealed.
+    """Return the sealed truth of a world that has a verdict.
 
-    Raises SealBroken where it is not what the ledger holds, StudyError where there is no verdict yet.
+    Raises SealBroken if the truth differs from the ledger, StudyError if there is no verdict yet.
     """
     if not (folder / VERDICT).is_file():
         raise StudyError(f"world {folder.name}: its truth stays sealed until there is a verdict")
@@ -45,7 +45,7 @@ def open_truth(folder: Path, ledger: Ledger) -> dict[str, Any]:
 
 
 def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str, Any]:
-    """Return the world's score, made once and kept as a file. Raises as `open_truth` does."""
+    """Score the world unless that is done, and return the score. Raises the errors of `open_truth`."""
     if (folder / SCORE).is_file():
         return read_json(folder / SCORE)
     truth = open_truth(folder, ledger)
@@ -80,7 +80,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
 
 
 def is_told(case: str, verdict: Mapping[str, Any]) -> bool:
-    """Whether the answer on thin data says what they lack."""
+    """Return whether the answer for thin data names the missing data."""
     answer = verdict["answer"]
     codes = {finding["code"] for finding in answer.get("findings", ())} | {answer.get("code")}
     return not codes.isdisjoint(CASES[case].codes)
@@ -92,11 +92,11 @@ def judge(
     separations: Mapping[str, Mapping[str, float]] | None,
     effects: Mapping[str, Effect],
 ) -> dict[str, Any]:
-    """Return what the verdict says of a world that holds `kinds`, as plain data.
+    """Compare the verdict with a world of effects `kinds`, and return the comparison as plain data.
 
-    `separations` in sigma, of each true effect from each other candidate, are None where the world holds
-    nothing of the library. An undecided verdict on an identifiable world misses. What a verdict that names
-    nothing holds possible is its alias set.
+    `separations`, sigma, are of each true effect from each other candidate; None if the world has no effect
+    of the library. An undecided verdict on an identifiable world counts as a miss. If a verdict names
+    nothing, its alias set is what it considers possible.
     """
 
     def alike(names: Iterable[str]) -> frozenset[str]:
@@ -144,12 +144,10 @@ def judge(
 def parameter_rows(
     truth: Mapping[str, Any], answer: Mapping[str, Any], known: Effective | None
 ) -> list[dict[str, Any]]:
-    """Return a row for each parameter of each true effect that was named: truth, estimate, sd, bound,
-    typical size.
+    """Return a row with truth, estimate, sd, bound and typical size for each parameter of each named effect.
 
-    Of two effects that fit exactly alike (mass and thrust gain) the row is their observable ratio. A
-    parameter that was drawn off neutral and is not among the named one's keys (another rotor) has no
-    estimate.
+    Only true effects count. For exact aliases (mass and thrust gain), the row is their observable ratio. A
+    parameter off neutral that is not among the named keys (another rotor) has no estimate.
     """
     found = {e["name"]: e["parameters"] for e in answer.get("effects", ())}
     if known is None:
@@ -187,7 +185,7 @@ def parameter_rows(
 
 
 def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
-    """Return the row of a ratio where either effect was named, to first order in the standard deviations."""
+    """Return the row of a ratio if either effect was named, to first order in the standard deviations."""
     if not ratio.alike & set(found):
         return []
     over, under = (

@@ -34,7 +34,7 @@ def test_write_leaves_the_file_and_nothing_else(tmp_path: Path) -> None:
 
 def test_write_refuses_an_existing_file_unless_forced(tmp_path: Path) -> None:
     path = write_atomic(tmp_path / "a.toml", "first")
-    with pytest.raises(UsageError, match="exists, choose another name or add --force"):
+    with pytest.raises(UsageError, match="exists; choose another name or add --force"):
         write_atomic(path, "second")
     assert path.read_text() == "first"
     write_atomic(path, "second", force=True)
@@ -95,7 +95,7 @@ def read_only() -> Iterator[Path]:
 
 def test_output_in_a_read_only_folder_is_refused_before_the_work(read_only: Path) -> None:
     for check in (check_output, check_log, lambda path: check_folder(path, ())):
-        with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to, choose another"):
+        with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to; choose another"):
             check(read_only / "a.mcap")
 
 
@@ -173,7 +173,7 @@ def test_folder_is_checked_without_being_made(tmp_path: Path) -> None:
     assert list(tmp_path.iterdir()) == []
     folder.mkdir()
     write_atomic(folder / "b.json", "mine")
-    with pytest.raises(UsageError, match=r"b\.json: exists, choose another name or add --force"):
+    with pytest.raises(UsageError, match=r"b\.json: exists; choose another name or add --force"):
         check_folder(folder, ("a.html", "b.json"))
     check_folder(folder, ("a.html", "b.json"), force=True)
     with pytest.raises(UsageError, match="is a file"):

@@ -90,5 +90,5 @@ def test_longest_of_two_flights_is_taken() -> None:
     ids=["stands", "stands, motors off", "a hop", "carried by hand"],
 )
 def test_log_that_hardly_flew_is_refused(height: np.ndarray, inputs: dict[str, Any]) -> None:
-    with pytest.raises(ImportFormatError, match="of which 2 s are needed; import a longer flight"):
+    with pytest.raises(ImportFormatError, match="but 2 s are needed; import a longer flight"):
         airborne(recording(height, **inputs))

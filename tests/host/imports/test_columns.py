@@ -131,13 +131,13 @@ unknown = ["weather"]
         "map.toml: world: 'xyz' is not possible",
         "map.toml: time: missing",
         "map.toml: quaternion",
-        "map.toml: motor_comand: unknown key, did you mean motor_command?",
+        "map.toml: motor_comand: unknown key; did you mean motor_command?",
         "map.toml: motor_command_full: 0 is out of range",
-        "map.toml: motor_command_full: means nothing without motor_command",
+        "map.toml: motor_command_full: has no meaning without motor_command",
         "map.toml: unknown[0]: 'weather' is not possible",
         "map.toml: attitude: give either quaternion or euler",
-        "map.toml: torque_n_m: means nothing without thrust_n",
-        "map.toml: gyro_unit: means nothing without gyro",
+        "map.toml: torque_n_m: has no meaning without thrust_n",
+        "map.toml: gyro_unit: has no meaning without gyro",
         "map.toml: position_m: names a column twice",
     ):
         assert sum(problem.startswith(start) for problem in problems) == 1, start
@@ -177,7 +177,7 @@ def test_csv_with_bad_rows_is_refused(tmp_path: Path, foreign: SimpleNamespace, 
     chosen = map_file(tmp_path, text)
     back = columns["t"].copy()
     back[50:] -= 1.0
-    with pytest.raises(ImportFormatError, match="runs back after row 49"):
+    with pytest.raises(ImportFormatError, match="decreases after row 49"):
         read(foreign.write_csv(tmp_path / "f.csv", columns | {"t": back}), chosen)
     wrong = columns | {"qw": 2.0 * columns["qw"]}
     with pytest.raises(ImportFormatError, match="quaternion of norm"):

@@ -110,7 +110,7 @@ def test_usd_with_any_byte_changed_is_refused(foreign: SimpleNamespace, version:
 
 def test_usd_with_wrong_sum_says_so(foreign: SimpleNamespace) -> None:
     whole = foreign.usd_bytes([(3, "x", SMALL)], [(3, 10, (1, 2.0))] * 3, version=1)
-    with pytest.raises(ImportFormatError, match=r"check sum is wrong.*copy it from the card again"):
+    with pytest.raises(ImportFormatError, match=r"checksum is wrong.*copy it from the card again"):
         decode(whole[:-1] + bytes([whole[-1] ^ 1]), "log07")
 
 
@@ -119,9 +119,9 @@ def test_usd_with_wrong_sum_says_so(foreign: SimpleNamespace) -> None:
     [
         (b"", "does not begin with 0xBC"),
         (b"\xbb" + struct.pack("<HH", 1, 1), "does not begin with 0xBC"),
-        (b"\xbc" + struct.pack("<HH", 3, 1), "format version 3; versions 1 and 2 are read"),
+        (b"\xbc" + struct.pack("<HH", 3, 1), "format version 3 is not supported, only versions 1 and 2"),
         (b"\xbc" + struct.pack("<HH", 1, 0), "no event type"),
-        (b"\xbc" + struct.pack("<HHH", 1, 1, 1) + b"name", "a text without its end"),
+        (b"\xbc" + struct.pack("<HHH", 1, 1, 1) + b"name", "a text without an end"),
         (b"\xbc" + struct.pack("<HHH", 1, 1, 1) + b"n\xff\0" + struct.pack("<H", 0), "header or records"),
         (b"\xbc" + struct.pack("<HHH", 1, 1, 1) + b"n\0" + struct.pack("<H", 1) + b"a(z)\0", "'a(z)'"),
         (b"\xbc" + struct.pack("<HHH", 1, 1, 1) + b"n\0" + struct.pack("<H", 1) + b"a[f)\0", "'a[f)'"),

@@ -59,7 +59,7 @@ def test_nanobench_cell_without_a_number_is_named_by_line(
 ) -> None:
     cells = [f"{value:.9g}" for value in foreign.nanobench_columns(made_up)[column]]
     cells[40] = word
-    with pytest.raises(ImportFormatError, match=rf"line 42: {column} is no finite number"):
+    with pytest.raises(ImportFormatError, match=rf"line 42: {column} is not a finite number"):
         read(nanobench_file(**{column: cells}))
 
 
@@ -80,7 +80,7 @@ def test_nanobench_time_that_runs_back_is_refused(
 ) -> None:
     t = foreign.nanobench_columns(made_up)["t"].copy()
     t[100:] -= 0.5
-    with pytest.raises(ImportFormatError, match="time runs back after row 99"):
+    with pytest.raises(ImportFormatError, match="time decreases after row 99"):
         read(nanobench_file(t=t))
 
 

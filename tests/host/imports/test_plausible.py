@@ -72,8 +72,8 @@ def test_flight_read_in_other_axes_is_refused_where_it_shows(
         ({"gyro": -1.0}, "gyro's y axis"),
         ({"specific_force": 1 / 9.8}, "accelerometer averages"),
         ({"specific_force": -1.0}, "accelerometer averages"),
-        ({"p_ned": 1e3}, "accelerate north"),
-        ({"pose_us": 1000}, "accelerate"),
+        ({"p_ned": 1e3}, "acceleration north"),
+        ({"pose_us": 1000}, "acceleration"),
     ],
 )
 def test_value_in_another_unit_is_refused(made_up: Any, changes: dict[str, float], said: str) -> None:
@@ -90,14 +90,14 @@ def test_value_in_another_unit_is_refused(made_up: Any, changes: dict[str, float
 
 def test_positions_mirrored_against_the_attitude_are_refused(made_up: Any) -> None:
     found = read_as(made_up, "ned", "frd")
-    with pytest.raises(ImportFormatError, match="accelerate east"):
+    with pytest.raises(ImportFormatError, match="acceleration east"):
         check(replace(found, p_ned=found.p_ned * [1.0, -1.0, 1.0]), SPAN_US)
 
 
 def test_positions_in_a_room_turned_against_the_attitude_are_refused(made_up: Any) -> None:
     found = read_as(made_up, "ned", "frd")
     quarter = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
-    with pytest.raises(ImportFormatError, match="accelerate north"):
+    with pytest.raises(ImportFormatError, match="acceleration north"):
         check(replace(found, p_ned=quarter.apply(found.p_ned)), SPAN_US)
 
 

@@ -42,7 +42,7 @@ def test_everything_a_profile_may_leave_unknown_is_known_to_tracing() -> None:
         ({"battery_us": T_US[:1], "battery_v": np.ones(1)}, "fewer than two different battery voltages"),
         (
             {"input_us": T_US, "motor_command": np.full((5, 4), 47.0)},
-            "means full command",
+            "value of a full command",
         ),
         ({"input_us": T_US, "motor_command": np.full((5, 4), -0.2)}, "from -0.2 to -0.2 of full"),
         ({"p_ned": np.full((5, 3), 2e6)}, "position reaches 2e+06; is its unit right?"),
@@ -80,12 +80,12 @@ def test_times_count_whole_microseconds_from_the_first() -> None:
 @pytest.mark.parametrize(
     ("times", "said"),
     [
-        ([0.0, 1.0, 0.5, 2.0], "runs back after row 1"),
-        ([0.0, 1.0, 90_000.0], "longer than a day; is the unit"),
+        ([0.0, 1.0, 0.5, 2.0], "decreases after row 1"),
+        ([0.0, 1.0, 90_000.0], "longer than a day; check the unit"),
         ([0.0, 1e300, 1e301], "longer than a day"),
         ([-1e308, 1e308], "longer than a day"),
         ([0.0, 1e300, 1.0], "longer than a day"),
-        ([1.0, 0.0], "runs back after row 0"),
+        ([1.0, 0.0], "decreases after row 0"),
     ],
 )
 def test_times_that_run_back_or_in_another_unit_are_refused(times: list[float], said: str) -> None:

@@ -87,7 +87,7 @@ def test_vehicle_without_a_rotor_at_each_corner_is_refused(
             for rotor, place in zip(nano.rotors, places, strict=True)
         )
     )
-    with pytest.raises(ConfigurationError, match=r"no rotor at each corner.*--vehicle"):
+    with pytest.raises(ConfigurationError, match=r"its rotors are not at the corners.*--vehicle"):
         write(recording, plus, tmp_path / "f.mcap", profile="nanobench")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv"]
 

@@ -16,7 +16,7 @@ from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Judged, Learned
 from trimtab.host.learn.candidates import Trial
 from trimtab.host.learn.evaluate import Errors
 from trimtab.host.learn.train import Trained
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.errors import TooLittleData
@@ -53,7 +53,7 @@ def fly(world: Path, references: list[Reference], folder: Path) -> list[Flight]:
         )
         path = folder / f"flight{index}.mcap"
         with closing(simulated):
-            fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
+            fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=path), simulated)
         flights.append(read_flight(path))
     return flights
 
@@ -147,8 +147,8 @@ def test_learn_verb_networks_in_the_bodys_frame_are_kept_as_such(logs, tmp_path,
     ("words", "told"),
     [
         (["--effects", "lnear-drag"], "--effects lnear-drag: no such effect; there are"),
-        (["--no-network", "--effects", "none"], "there is nothing to learn"),
-        (["--method", "paper", "--frame", "body"], "learns a network in the world's frame"),
+        (["--no-network", "--effects", "none"], "nothing to learn; leave out --no-network"),
+        (["--method", "paper", "--frame", "body"], "learns only a network in the world frame"),
     ],
 )
 def test_learn_verb_refuses_what_does_not_go_together(logs, tmp_path, capsys, words, told):

@@ -53,7 +53,7 @@ def test_serial_port_carries_bytes_both_ways(pty: tuple[int, str]) -> None:
 def test_serial_port_in_use_is_a_link_error(pty: tuple[int, str]) -> None:
     with (
         contextlib.closing(open_port(pty[1])),
-        pytest.raises(LinkError, match="in use by another program, close"),
+        pytest.raises(LinkError, match="in use by another program; close"),
     ):
         open_port(pty[1])
 
@@ -122,7 +122,7 @@ def test_cameras_keep_datagrams_apart() -> None:
             assert select.select([cameras], [], [], 10.0)[0]
             found += cameras.read()
         assert found == [b"one", b"two"]
-        with pytest.raises(UsageError, match="another program listens there; close it or"):
+        with pytest.raises(UsageError, match="another program uses this port; close it or"):
             Cameras(f"udp://127.0.0.1:{number}")
 
 
@@ -174,7 +174,7 @@ def test_cameras_url_that_is_none_is_a_usage_error(url: str) -> None:
 )
 def test_cameras_at_an_address_of_another_machine_say_what_to_give(url: str, reason: str) -> None:
     with pytest.raises(
-        UsageError, match=rf"cannot listen there \(.*{reason}.*\); give an address of this machine"
+        UsageError, match=rf"cannot listen at this address \(.*{reason}.*\); give one of this machine"
     ) as caught:
         Cameras(url)
     assert "unknown error" not in str(caught.value)

@@ -64,7 +64,7 @@ def test_find_vehicle_at_a_silent_port_gives_up_in_time(run: Run) -> None:
 
 def test_find_vehicle_among_other_bytes_says_so(run: Run, fake: Any) -> None:
     fake.run = lambda now_us, data: b"$GPGGA,1234\r\n" if now_us % 100_000 == 0 else b""
-    assert "bytes of something else" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
+    assert "bytes that are not MAVLink" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
 
 
 def test_find_vehicle_among_other_systems_names_them(run: Run, fake: Any) -> None:
@@ -73,14 +73,14 @@ def test_find_vehicle_among_other_systems_names_them(run: Run, fake: Any) -> Non
         codec.encode(m.vehicle_heartbeat(1, armed=False)) for codec in beats if now_us % 1_000_000 == 0
     )
     text = failure(run(one(FindVehicle("ttyX")), fake), LinkError)
-    assert text.startswith("ttyX: no vehicle of ours (MAVLink system 1) in 5 s, only system 2, 17")
+    assert text.startswith("ttyX: no Trimtab vehicle (MAVLink system 1) in 5 s, only system 2, 17")
 
 
 @pytest.mark.parametrize(
     ("sender", "said"),
     [
         (m.HOST_RADIO, "the radio answers, but no vehicle was heard in 5 s; is it on?"),
-        (m.VEHICLE, "a vehicle is heard, but no heartbeat of it came in 5 s; check the way to it"),
+        (m.VEHICLE, "a vehicle sends messages, but no heartbeat arrived in 5 s; check the link"),
     ],
     ids=["radio", "vehicle"],
 )
@@ -96,7 +96,7 @@ def test_find_vehicle_does_not_blame_damaged_bytes_where_something_is_heard(
 
 def test_find_vehicle_that_beats_but_does_not_answer_says_so(run: Run, fake: Any) -> None:
     fake.answers = False
-    assert "answers nothing" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
+    assert "does not answer; check" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
 
 
 def test_find_vehicle_of_another_dialect_version_says_both(run: Run, fake: Any) -> None:
@@ -118,7 +118,7 @@ def test_find_vehicle_of_another_make_says_so(run: Run, fake: Any) -> None:
     fake.heartbeat = m.Heartbeat(
         mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, 0, 0, mavlink.MAV_STATE_STANDBY, 3
     )
-    assert "none that speaks Trimtab" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
+    assert "does not speak Trimtab" in failure(run(one(FindVehicle("ttyX")), fake), LinkError)
 
 
 def test_read_parameters_gives_all_of_them(run: Run, fake: Any) -> None:
@@ -198,7 +198,7 @@ def test_command_denied_in_words_that_got_lost_does_not_repeat_older_ones(run: R
         yield Command(ARM, (1.0,), what="arm")
 
     text = failure(run(script, fake), Refused)
-    assert text == "the vehicle refuses to arm: its reason was lost on the way, result 2"
+    assert text == "the vehicle refuses to arm: the reason was lost on the link, result 2"
 
 
 def test_command_not_now_is_asked_again_until_it_is_accepted(run: Run, fake: Any) -> None:

@@ -96,5 +96,5 @@ def test_imported_sample_before_the_start_is_refused_and_nothing_written(
 
 
 def test_tracks_times_that_run_back_are_refused() -> None:
-    with pytest.raises(ValueError, match="run back"):
+    with pytest.raises(ValueError, match="times decrease"):
         _mocap(T_US[::-1])

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log import prepare as module
@@ -28,7 +28,7 @@ def flight(tmp_path_factory) -> Flight:
     start = reference.nodes_ned()[0].state
     simulated = SimulatedVehicle.create(vehicle, flight=1, start_ned=(start[0], start[1], 0.0))
     with closing(simulated):
-        fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=path), simulated)
+        fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=path), simulated)
     return read_flight(path)
 
 
@@ -74,7 +74,7 @@ def test_prepare_gap_does_not_count_and_is_noted(flight):
 def test_prepare_rows_that_are_no_number_are_noted(flight):
     assert flight.mocap is not None
     (found,) = prepare([replace(flight, mocap=replace(flight.mocap, left_out=3))])
-    assert found.notes == ("flight.mcap: 3 rows of poses hold what is no number; left out",)
+    assert found.notes == ("flight.mcap: 3 rows of poses with values that are not finite were left out",)
 
 
 def test_prepare_cuts_a_flight_where_it_leaves_the_range_of_euler_angles(flight, monkeypatch):

@@ -11,7 +11,7 @@ import pytest
 
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.evaluate import predict, whole_flights
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.log import Flight, read_flight
@@ -67,7 +67,7 @@ def fly(tmp_path_factory, vehicle, make_reference) -> Callable[..., tuple[Flight
             vehicle, world=world, flight=index, start_ned=(start[0], start[1], 0.0), start_yaw=yaw
         )
         parameters = {"OBS_GAIN": observer} if observer else {}
-        order = FlightOrder(vehicle=vehicle, reference=reference, log_path=path, parameters=parameters)
+        order = FlightRequest(vehicle=vehicle, reference=reference, log_path=path, parameters=parameters)
         with closing(simulated):
             result = fly_lockstep(order, simulated)
         return result, read_flight(path)

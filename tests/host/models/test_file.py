@@ -109,7 +109,7 @@ def test_covariance_bad_matrix_is_refused(matrix, message):
 
 def test_model_file_existing_is_kept_without_force(tmp_path):
     path = write_model(model(), tmp_path / "m.model.toml")
-    with pytest.raises(UsageError, match="exists, choose another name or add --force") as error:
+    with pytest.raises(UsageError, match="exists; choose another name or add --force") as error:
         write_model(model(data=()), path)
     assert error.value.exit_code == 2
     write_model(model(data=()), path, force=True)

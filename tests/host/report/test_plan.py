@@ -106,7 +106,7 @@ def test_plan_page_without_a_model_colours_by_speed_and_says_what_is_not_known(h
     bare = plan(ROUTE, VEHICLE)
     without = page(bare, ROUTE, VEHICLE, ResidualModel(), {})
     assert "coloured by speed" in without
-    assert "no model predicts any" in without
+    assert "none, without a model" in without
     assert "coloured by predicted residual" in html
 
 
@@ -186,7 +186,7 @@ def test_plan_page_names_the_node_of_the_greatest_sensitivity(made: Plan, html: 
     assert off is not None
     node = int(off.attitude.argmax())
     wanted = f"{off.attitude[node]:.3g} m/s^2 per rad, node {node} at {off.t_s[node]:.2f} s"
-    assert f"<td>greatest sensitivity of it to attitude</td><td>{wanted}</td>" in html
+    assert f"<td>its greatest sensitivity to attitude</td><td>{wanted}</td>" in html
 
 
 GATED = Route(

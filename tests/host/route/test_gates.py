@@ -90,11 +90,11 @@ def test_route_with_gates_reads_back_equal_and_one_without_does_not_tell_of_them
             "waypoint = 0\nradius_m = 0.3",
             "gates[0].waypoint: 0 is no waypoint between the first and the last",
         ),
-        ("waypoint = 1\nradius_m = 0.0", "gates[0].radius_m: 0.0 is out of range, give a value above 0"),
+        ("waypoint = 1\nradius_m = 0.0", "gates[0].radius_m: 0.0 is out of range; give a value above 0"),
         ("waypoint = 1\nradius_m = 0.3\nwidth_m = 1.0", "gates[0]: give either radius_m, or width_m"),
         ("waypoint = 1\nwidth_m = 1.0\nheight_m = 1.0", "gates[0]: give either radius_m, or width_m"),
         ("waypoint = 1", "gates[0]: give either radius_m, or width_m"),
-        ("radius_m = 0.3", "gates[0].waypoint: missing, add it"),
+        ("radius_m = 0.3", "gates[0].waypoint: missing; add it"),
         (
             "waypoint = 1\nradius_m = 0.3\n[[gates]]\nwaypoint = 1\nradius_m = 0.2",
             "gates[1].waypoint: waypoint 1 has gates[0] already, keep one of them",

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.link.flight_order import FlightOrder
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
@@ -112,7 +112,7 @@ def hovered(folder: Path, world: str, seed: int) -> Flight:
     file, log = folder / "world.toml", folder / "hover.mcap"
     file.write_text(f'description = "A hover"\ntolerances = true\n{world}', encoding="utf-8")
     simulated = vehicle_class().create(vehicle, world=str(file), world_seed=seed)
-    fly_lockstep(FlightOrder(vehicle=vehicle, reference=reference, log_path=log), simulated)
+    fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=log), simulated)
     return read_flight(log)
 
 

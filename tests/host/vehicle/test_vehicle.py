@@ -131,8 +131,8 @@ def test_bad_file_tells_every_problem_at_once(research: Vehicle) -> None:
         ]
     )
     assert all(line.startswith("bad.toml: ") and "\n" not in line for line in lines)
-    assert "bad.toml: mas_kg: unknown key, did you mean mass_kg?" in lines
-    assert "bad.toml: rotors[2].spin: 'left' is not possible, choose 'cw' or 'ccw'" in lines
+    assert "bad.toml: mas_kg: unknown key; did you mean mass_kg?" in lines
+    assert "bad.toml: rotors[2].spin: 'left' is not possible; choose 'cw' or 'ccw'" in lines
 
 
 def test_wrong_keys_hide_neither_the_boards_bounds_nor_what_lies_between_keys(research: Vehicle) -> None:
@@ -170,12 +170,12 @@ def test_wrong_keys_hide_neither_the_boards_bounds_nor_what_lies_between_keys(re
         ("mass_kg = 0.752", "mass_kg = nan", "mass_kg: nan is not a finite number"),
         ("mass_kg = 0.752", "mass_kg = true", "mass_kg: True is not a number"),
         ("mass_kg = 0.752", "mass_kg = 5.0", "cannot hover"),
-        ("mass_kg = 0.752", "mass_kg = 0.001", "mass_kg: cannot be set on board"),
+        ("mass_kg = 0.752", "mass_kg = 0.001", "mass_kg: the firmware does not accept it"),
         ("empty_v = 13.2", "empty_v = 17.0", "battery.empty_v: 17 is not below full_v 16.8"),
         ("cells = 4", "cells = 4.5", "battery.cells: 4.5 is not a whole number"),
         ('spin = "cw"', 'spin = "ccw"', "rotors: these rotors cannot turn"),
         ("thrust_headroom = [0.08, 0.65]", "thrust_headroom = [0.08, 1.65]", "limits.thrust_headroom"),
-        ('name = "research"', 'name = "../up"', "name: '../up' is not a valid text"),
+        ('name = "research"', 'name = "../up"', "name: '../up' is not valid"),
         ("[battery]", "[battery", "not valid TOML"),
     ],
 )  # fmt: skip
@@ -188,7 +188,7 @@ def test_bad_value_is_named_with_its_key(research: Vehicle, old: str, new: str, 
 
 
 def test_missing_vehicle_names_the_known_ones(tmp_path: Path) -> None:
-    with pytest.raises(ConfigurationError, match="nimbus: no such vehicle, known: nano, research"):
+    with pytest.raises(ConfigurationError, match=r"nimbus: no such vehicle \(known: nano, research"):
         load_vehicle("nimbus")
     with pytest.raises(ConfigurationError, match="no such vehicle file"):
         load_vehicle(tmp_path / "gone.toml")

@@ -56,7 +56,7 @@ def main():
     programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))
     outcome = blind.run(
         folder=Path(sys.argv[1]), seed=3, worlds=5, vehicle="research", jobs=2, programme=programme,
-        report=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
+        on_progress=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
     )
     print(json.dumps(outcome["answer"]))
 
@@ -188,7 +188,7 @@ def test_world_is_flown_and_sealed_once(tmp_path: Path, short_programme: Program
 def test_folder_in_use_is_refused(tmp_path: Path, short_programme: Programme) -> None:
     with (
         alone_in(tmp_path),
-        pytest.raises(UsageError, match="runs there already"),
+        pytest.raises(UsageError, match="another study is running"),
         alone_in(tmp_path),
     ):
         pass

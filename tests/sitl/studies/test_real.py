@@ -30,8 +30,11 @@ def written(folder: Path, text: str) -> Path:
     ("text", "said"),
     [
         ('[[group]]\nname = "x"\nlogs = []\n', "logs"),
-        ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nprofile = "csv"\n', "columns go with the profile csv"),
-        ('[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n', "two logs of one name"),
+        ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nprofile = "csv"\n', "the profile csv needs columns"),
+        (
+            '[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n',
+            "two logs have the same name",
+        ),
         ('[[group]]\nname = "x"\nlogs = ["a.mcap"]\nholdout = ["b.mcap"]\n', "hold_out"),
         ("", "group"),
     ],
@@ -42,7 +45,7 @@ def test_file_that_says_something_wrong_is_refused(tmp_path: Path, text: str, sa
 
 
 def test_log_that_is_not_there_is_refused_before_anything_is_traced(tmp_path: Path) -> None:
-    with pytest.raises(StudyError, match=r"ours: .*a1\.mcap is not there"):
+    with pytest.raises(StudyError, match=r"ours: .*a1\.mcap does not exist"):
         read_groups(written(tmp_path, OWN))
     with pytest.raises(StudyError, match="cannot be read"):
         read_groups(tmp_path / "none.toml")

@@ -265,9 +265,9 @@ def test_thin_data_are_counted_by_case_and_apart_from_all_else() -> None:
 def test_thin_world_is_right_where_nothing_untrue_is_claimed_and_the_lack_is_said() -> None:
     assert [is_right(s) for s in THIN_SCORES] == [True, False, False, True, False]
     assert failure(THIN_SCORES[1]) == "motor-lag, no gyro: traced, motor-lag, mass"
-    assert failure(THIN_SCORES[2]) == "motor-lag, no gyro, which is not said: undecided, mass"
+    assert failure(THIN_SCORES[2]) == "motor-lag, no gyro not reported: undecided, mass"
     text = "\n".join(lines(summary(THIN_SCORES), THIN_SCORES))
-    assert "no gyro: 1 right, 1 undecided, 1 wrong; what is missing is said in 2 of 3" in text
+    assert "no gyro: 1 right, 1 undecided, 1 wrong; missing data reported in 2 of 3" in text
 
 
 def test_what_thin_data_lack_is_looked_for_among_the_codes_of_an_answer() -> None:
@@ -311,8 +311,8 @@ def test_other_methods_stand_beside_tracing_on_the_same_worlds() -> None:
     assert tracing["after_mm_median"] == pytest.approx(25.5)
     assert baseline_rows(SCORES) == []
     text = "\n".join(lines(summary(SCORES), SCORES, baseline_rows(asked)))
-    assert "trimtab trace: first name right 1 of 2, pairs exact 1 of 1, false alarms 1 of 2" in text
-    assert "network: first name right -, pairs exact -, false alarms -, - effects" in text
+    assert "trimtab trace: first name correct 1 of 2, pairs exact 1 of 1, false alarms 1 of 2" in text
+    assert "network: first name correct -, pairs exact -, false alarms -, - effects" in text
 
 
 @pytest.fixture

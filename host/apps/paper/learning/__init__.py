@@ -1,1 +1,1 @@
-"""What the paper measures of learning (sections V-A, VI-B and VI-C), and what it leaves open."""
+"""The paper's measurements of learning (sections V-A, VI-B and VI-C), and further ones."""

@@ -48,8 +48,9 @@ class Flights:
     x: np.ndarray
 
     def drives(self, step_s: float, *, late_s: float = 0.0) -> np.ndarray:
-        """(F, 2 m + 1, 22) at the steps' starts, middles and ends, from node to node of the whole flight;
-        of a reference that is late by `late_s`.
+        """Return the drive (F, 2 m + 1, 22) at starts, middles and ends of the steps of the whole flight.
+
+        The reference is delayed by `late_s`.
         """
         steps = int((self.x.shape[1] - 1) * STEP_S / step_s + 1e-6)
         times = half_steps(-late_s, steps, step_s)
@@ -60,10 +61,10 @@ class Flights:
         return replace(self, references=self.references[:count], x=self.x[:count])
 
     def segments(self, phi: Phi, *, measured: np.ndarray, sigma: np.ndarray, held: bool = False) -> Segments:
-        """Segments of 50 nodes for a model `phi` of the same state.
+        """Return segments of 50 nodes for a model `phi` with the same state.
 
-        measured (F, n, 12) with sigma (12,). held: the reference does not move on inside a step, which makes
-        it half a step late in the mean.
+        `measured` (F, n, 12) has standard deviations `sigma` (12,). With `held`, the reference is constant
+        within a step, which delays it by half a step on average.
         """
         drive = self.drives(STEP_S, late_s=0.5 * STEP_S if held else 0.0)
         seen, states = cut(measured), cut(self.x)
@@ -84,7 +85,7 @@ class Flights:
 
 
 def cut(nodes: np.ndarray) -> np.ndarray:
-    """(S, 50, ..): what flights (F, n, ..) hold node by node, cut into segments; a rest is left out."""
+    """Return flights (F, n, ..) cut into segments (S, 50, ..) without an incomplete last one."""
     each = nodes.shape[1] // SEGMENT_NODES
     kept = nodes[:, : each * SEGMENT_NODES]
     return kept.reshape(len(nodes) * each, SEGMENT_NODES, *nodes.shape[2:])
@@ -96,7 +97,7 @@ def make_flights(
     *,
     counts: dict[str, int] | None = None,
 ) -> dict[str, Flights]:
-    """Flights of `vehicle` with drag by set: train, test, validation, ood (25 % faster)."""
+    """Return flights of `vehicle` with drag by set: train, test, validation, ood (25 % faster)."""
     effect = load_effects()["linear-drag"]
     phi = Phi(vehicle=vehicle, effects=(effect,), estimator=False)
     rng = np.random.default_rng([seed, 0])
@@ -109,7 +110,7 @@ def make_flights(
 
 
 def fly(phi: Phi, theta: np.ndarray, references: tuple[Reference, ...]) -> Flights:
-    """Return references of one duration flown by phi at theta, from rest at their first nodes."""
+    """Fly references of equal duration by phi at theta, from rest at their first nodes."""
     nodes = round(references[0].nodes[-1].t_us * 1e-6 / STEP_S)
     steps = (nodes - 1) * round(STEP_S / _FINE_S)
     starts = [flat_outputs(reference, np.zeros(1))[:3, 0] for reference in references]
@@ -131,7 +132,7 @@ def fly(phi: Phi, theta: np.ndarray, references: tuple[Reference, ...]) -> Fligh
 def accelerations(
     phi: Phi, theta: np.ndarray, network: Network | None, x: np.ndarray, drive: np.ndarray
 ) -> np.ndarray:
-    """(F, n, 3): what phi makes of states x (F, n, size) under drive (F, n, 22), NED, with a network's."""
+    """Return accelerations (F, n, 3), NED, of phi and a network at states (F, n, size), drive (F, n, 22)."""
     flat, rows = x.reshape(-1, phi.size).T, drive.reshape(-1, drive.shape[2]).T
     residual = np.zeros((3, flat.shape[1]))
     if network is not None:
@@ -143,7 +144,7 @@ def accelerations(
 
 
 def _reference(rng: np.random.Generator, vehicle: Vehicle, duration_s: float) -> Reference:
-    """Five waypoints drawn in a box, joined by a minimum-snap polynomial of optimised times."""
+    """Return a minimum-snap reference with optimised times through five waypoints drawn in a box."""
     waypoints = _MIDDLE_NED + rng.uniform(-0.5, 0.5, (_WAYPOINTS, 3)) * _BOX_M
     table = snap_table(waypoints, optimise_durations(waypoints, duration_s))
     return to_reference(table, [YawNode(0, 0.0, 0.0)], vehicle.id)

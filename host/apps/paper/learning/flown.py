@@ -57,8 +57,9 @@ class Course:
 
 
 def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
-    """Return the sixteen references and the three out of distribution; a path that the vehicle may not fly
-    at the fastest pace asked of it is drawn again.
+    """Return the sixteen references and the three out of distribution.
+
+    A path that violates the vehicle's limits at its fastest pace is drawn again.
     """
     rng = np.random.default_rng([seed, 1])
     courses = []
@@ -70,7 +71,7 @@ def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
 
 
 def statistics(courses: list[Course]) -> dict[str, float]:
-    """Mean and standard deviation of speed, acceleration and jerk along references, every 20 ms."""
+    """Return mean and standard deviation of speed, acceleration and jerk along references, every 20 ms."""
     rows: list[np.ndarray] = []
     for course in courses:
         times = np.arange(0, course.table.times_us[-1], 20_000)
@@ -85,8 +86,9 @@ def statistics(courses: list[Course]) -> dict[str, float]:
 
 
 def fly_and_learn(folder: Path, vehicle: Vehicle, seed: int, world: int) -> dict[str, Any]:
-    """Return what was learned in one world, kept in `folder`/result.json: position and velocity errors of
-    whole flights by set and method, and the flights that failed.
+    """Fly and learn in one world; return and store the result in `folder`/result.json.
+
+    It holds position and velocity errors of whole flights by set and method, and the failed flights.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -145,14 +147,14 @@ def _learned(
     *,
     as_asked: bool = False,
 ) -> Learned:
-    """Return what is learned from all of these flights; nothing of them is held out."""
+    """Return the model learned from all of these flights, with none held out."""
     return learn(flights, effects=effects, settings=settings, forms=forms, hold_out=(), as_asked=as_asked)
 
 
 def _sets(
     courses: list[Course], flown: Mapping[str, Flight], rng: np.random.Generator
 ) -> dict[str, list[Flight]]:
-    """Flights by set: train and test drawn 8:2 from the sixteen, ood."""
+    """Return flights by set: train and test drawn 8:2 from the sixteen, and ood."""
     known = [c.name for c in courses if not c.out_of_distribution and c.name in flown]
     order = [known[i] for i in rng.permutation(len(known))]
     ood = [c.name for c in courses if c.out_of_distribution and c.name in flown]
@@ -190,8 +192,9 @@ def _paced(
 
 
 def _walk(rng: np.random.Generator) -> np.ndarray:
-    """(20, 3): waypoints drawn in a box, each the first of those drawn that a leg may lead to, or the one
-    straightest ahead of many.
+    """Return waypoints (20, 3) drawn in a box.
+
+    Each is the first drawn one that meets the bounds of a leg, or the one with the smallest turn of many.
     """
     points = [rng.uniform(-0.5, 0.5, 3) * _BOX_M]
     way = np.zeros(3)

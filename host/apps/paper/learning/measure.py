@@ -15,17 +15,17 @@ from trimtab.host.models.rollout import roll_out
 
 @dataclass(frozen=True, kw_only=True)
 class AccelerationError:
-    """Root mean squares in m/s^2: of the norm of the error, and per component (the norm's over sqrt 3).
+    """Root mean squares, m/s^2, of the norm of the error; per component, divide by sqrt 3.
 
-    pointwise: at the flight's own states. rolled: of whole flights predicted from their references, along the
-    predicted path, each instant beside the flight's.
+    `pointwise` is at the flight's states. `rolled` is along the predicted paths of whole flights, predicted
+    from their references, compared at equal times.
     """
 
     pointwise: float
     rolled: float
 
     def to_json(self) -> dict[str, float | None]:
-        """Both as norm and per component; None where a roll-out diverged."""
+        """Return both as norm and per component; None if a roll-out diverged."""
         values = {
             "pointwise_norm": self.pointwise,
             "pointwise_component": self.pointwise / 3**0.5,
@@ -44,8 +44,9 @@ class Candidate:
     network: Network | None = None
 
     def roll_out(self, flights: Flights, step_s: float = STEP_S) -> np.ndarray:
-        """States (F, n, size) at the flights' nodes, predicted from their references in steps of step_s, cut
-        smaller where RK4 needs it. A multiple of STEP_S gives as few of the nodes.
+        """Return states (F, n, size) at the flights' nodes, predicted from their references.
+
+        Steps of `step_s` are subdivided if RK4 needs it. A multiple of STEP_S gives fewer nodes.
         """
         split = self.phi.substeps(step_s)
         every = max(1, round(STEP_S / step_s)) * split
@@ -65,7 +66,7 @@ class Candidate:
 
 
 def acceleration_error(candidate: Candidate, flights: Flights) -> AccelerationError:
-    """Of a model on exact flights."""
+    """Return the acceleration error of a model on exact flights."""
     drive = flights.drives(STEP_S)[:, ::2]
     true = accelerations(flights.phi, flights.theta, None, flights.x, drive)
     model = (candidate.phi, candidate.theta, candidate.network)
@@ -75,13 +76,13 @@ def acceleration_error(candidate: Candidate, flights: Flights) -> AccelerationEr
 
 
 def position_error_m(candidate: Candidate, flights: Flights, step_s: float = STEP_S) -> float:
-    """Root mean square of the position's error of whole flights predicted from their references."""
+    """Return the position RMSE of whole flights predicted from their references."""
     states = candidate.roll_out(flights, step_s)
     stride = max(1, round(step_s / STEP_S))
     return rms_norm(states[..., :3] - flights.x[:, ::stride, :3][:, : states.shape[1]])
 
 
 def rms_norm(error: np.ndarray) -> float:
-    """Root of the mean over all but the last axis of the squared norm; infinite where it is no number."""
+    """Return the RMS of the norm over all but the last axis; infinite if it is not a number."""
     value = float(np.sqrt((error**2).sum(-1).mean()))
     return value if np.isfinite(value) else float("inf")

@@ -46,9 +46,7 @@ class Observed:
 
 
 def observe(flights: Flights, scale: float, rng: np.random.Generator) -> Observed:
-    """Return the flights with noise of `scale` times the usual; 0 leaves them exact before they are
-    smoothed.
-    """
+    """Return the flights with `scale` times the nominal noise. With 0, they are exact before smoothing."""
     x = flights.x[..., :12]
     spread = np.repeat([POSITION_M, 0.0, ATTITUDE_RAD, RATE_RAD_S], 3)
     seen = x + scale * spread * rng.standard_normal(x.shape)
@@ -77,8 +75,9 @@ def observe(flights: Flights, scale: float, rng: np.random.Generator) -> Observe
 def compare(
     sets: dict[str, Flights], regressor: Regressor, scale: float, seed: int, iterations: int
 ) -> list[dict[str, Any]]:
-    """Acceleration errors, pointwise against the exact flights, of one regressor learned in four ways from
-    the same noisy nodes. Early stop is on noisy flights as well.
+    """Return acceleration errors of one regressor learned in four ways from the same noisy nodes.
+
+    Errors are pointwise against the exact flights. Early stopping uses noisy flights too.
     """
     rng = np.random.default_rng([seed, 7])
     phi = phi_of(sets["train"], regressor)
@@ -125,7 +124,7 @@ def compare(
 
 
 def _smoothed(p: np.ndarray, sigma: float) -> list[Smoothed]:
-    """Smoothed positions (F, n, 3), with the density that foretells nodes left out best."""
+    """Return smoothed positions (F, n, 3), with the density that best predicts the nodes left out."""
     t_s = STEP_S * np.arange(p.shape[1])
 
     def left_out(density: float) -> float:

@@ -1,4 +1,4 @@
-"""`trimtab study paper-learning`: the paper's learning section, number beside number."""
+"""`trimtab study paper-learning`: the paper's section on learning, with its numbers beside ours."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ _BY_NAME = {regressor.name: regressor for regressor in REGRESSORS}
 
 @dataclass(frozen=True, kw_only=True)
 class Scope:
-    """How much of everything: trials of a curve, epochs, seeds, iterations, scales of noise."""
+    """Size of the study: trials of a curve, epochs, seeds, iterations, scales of noise."""
 
     trials: int
     epochs: int
@@ -78,7 +78,7 @@ def plan(seed: int, worlds: int, scope: Scope) -> list[Piece]:
 
 
 def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
-    """Return what a piece comes to."""
+    """Return the result of a piece."""
     craft = load_vehicle(vehicle)
     if piece.kind == "world":
         place = Path(folder) / "worlds" / f"{piece.arguments['world']:02d}"

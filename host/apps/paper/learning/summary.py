@@ -1,4 +1,4 @@
-"""What the pieces of the study say together: medians, tables, lines for people."""
+"""Summary of the pieces of the study: medians, tables, lines of text."""
 
 from __future__ import annotations
 
@@ -39,9 +39,7 @@ _SETS = {"train": "train", "test": "test", "ood": "out of distribution"}
 
 
 def summary(answer: Mapping[str, Any], pieces: Mapping[str, Any]) -> dict[str, Any]:
-    """`answer` with the figures, `tables` (title -> rows of texts), `lines`, `curves` and `noise` for
-    pictures.
-    """
+    """Return `answer` with the figures, `tables` by title, `lines`, and `curves` and `noise` for pictures."""
     by_kind: dict[str, list[Any]] = {}
     for name, piece in pieces.items():
         by_kind.setdefault(name.split("-")[0], []).append(piece["result"])
@@ -121,7 +119,7 @@ def _noise(found: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _flown(worlds: Sequence[Mapping[str, Any]]) -> Row:
-    """Ratios and errors over worlds."""
+    """Return ratios and errors over worlds."""
     errors = {
         name: {
             method: {
@@ -282,7 +280,7 @@ def _flown_table(flown: Row) -> list[Row]:
 def _grouped(
     rows: Sequence[Mapping[str, Any]], *keys: str
 ) -> Iterable[tuple[tuple[Any, ...], list[Mapping[str, Any]]]]:
-    """Return the rows by what they hold under these keys, in the order of their first ones."""
+    """Return the rows grouped by their values under these keys, in order of first appearance."""
     groups: dict[tuple[Any, ...], list[Mapping[str, Any]]] = {}
     for row in rows:
         groups.setdefault(tuple(row[key] for key in keys), []).append(row)
@@ -290,7 +288,7 @@ def _grouped(
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """None where one of them is: a roll-out diverged."""
+    """Return the median, or None if a value is None because a roll-out diverged."""
     known = [value for value in values if value is not None]
     return float(np.median(known)) if known and len(known) == len(values) else None
 

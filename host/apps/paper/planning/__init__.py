@@ -1,1 +1,1 @@
-"""What the paper measures of planning (section V-B and the flights of VI-D), and what it leaves open."""
+"""The paper's measurements of planning (section V-B and the flights of VI-D), and further ones."""

@@ -1,4 +1,4 @@
-"""Courses drawn for plans to be compared on: all kinds get the same waypoints, time, limits and headroom."""
+"""Random courses for the comparison of plans: all kinds get the same waypoints, time, limits and headroom."""
 
 from __future__ import annotations
 
@@ -26,10 +26,10 @@ class Course:
 
 
 def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course:
-    """Course `index` of a purpose. Feasible by construction: the least time from the drawn pace on in which
-    min-snap keeps the limits, if that is within twice.
+    """Return course `index` of a purpose, which is feasible by construction.
 
-    Raises ValueError where none of many drawn is.
+    Its time is the least one, from the drawn pace to twice that time, in which min-snap keeps the limits.
+    Raises ValueError if no drawn course qualifies.
     """
     for attempt in range(_TRIES):
         route = random_route(

@@ -1,4 +1,4 @@
-"""`trimtab study paper-planning`: the paper's planning section, number beside number."""
+"""`trimtab study paper-planning`: the paper's section on planning, with its numbers beside ours."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def plan_pieces(worlds: int, courses: int, planned: int) -> list[Piece]:
 
 
 def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
-    """Return what a piece comes to."""
+    """Return the result of a piece."""
     craft = load_vehicle(vehicle)
     if piece.kind == "planned":
         return compare.planned(craft, seed, **piece.arguments)

@@ -1,4 +1,4 @@
-"""From pieces of the study to its figures, tables and lines."""
+"""Summary of the pieces of the study: figures, tables and lines of text."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
 
 
 def failures(courses: Sequence[Mapping[str, Any]]) -> list[Row]:
-    """Return what was not planned, or not flown to its end: course, kind, why."""
+    """Return failed plans and flights: course, kind, reason."""
     return [
         {"course": course["course"], "kind": kind, "why": row.get("failed") or row["flight_failed"]}
         for course in courses
@@ -75,7 +75,7 @@ def failures(courses: Sequence[Mapping[str, Any]]) -> list[Row]:
 
 
 def _all_rows(course: Mapping[str, Any]) -> list[tuple[str, Row]]:
-    """Name and figures of everything that was planned on a course."""
+    """Return name and figures of every plan on a course."""
     rows = list(course["kinds"].items())
     for what, kinds in course.get("residuals", {}).items():
         rows += [(f"{kind}, {what}", row) for kind, row in kinds.items()]
@@ -83,7 +83,7 @@ def _all_rows(course: Mapping[str, Any]) -> list[tuple[str, Row]]:
 
 
 def _side_by_side(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
-    """Medians of each residual on the same courses, and of the closed form's figures over each network's."""
+    """Return medians of each residual model on the same courses, and of the closed form over each network."""
     pairs = [{"kinds": {what: kinds[kind] for what, kinds in c["residuals"].items()}} for c in courses]
     return {
         "flown": {what: medians(pairs, what) for what in (CLOSED_FORM, *NETWORKS)},
@@ -106,7 +106,7 @@ def _middle(values: Sequence[float], of: Callable[[Any], Any] = np.median) -> fl
 
 
 def _planned(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
-    """Over the planned courses: mean drag, medians of solve time and iterations."""
+    """Return the mean drag and the medians of solve time and iterations over the planned courses."""
     return {
         "courses": len(_rows(courses, kind, "drag_mean_n")),
         "drag_mean_n": _middle(_rows(courses, kind, "drag_mean_n"), np.mean),
@@ -117,7 +117,7 @@ def _planned(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
 
 
 def medians(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
-    """Medians over the flown courses."""
+    """Return medians over the flown courses."""
     keys = ("residual_mean_m_s2", "error_mean_m", "error_max_m", "clipped_share", "path_length_m")
     keys += ("mean_speed_m_s", "jerk_max_m_s3", "first_solve_s", "solve_s", "outside_region")
     found: Row = {key: _middle(_rows(courses, kind, key)) for key in keys}
@@ -125,7 +125,7 @@ def medians(courses: Sequence[Mapping[str, Any]], kind: str) -> Row:
 
 
 def ratio(courses: Sequence[Mapping[str, Any]], kind: str, base: str, key: str) -> Row:
-    """Median over courses of kind's value over base's, with the 95 % of bootstraps over courses."""
+    """Return the median over courses of the ratio of a kind to a base, with a 95 % bootstrap interval."""
     pairs = [(c["kinds"][kind].get(key), c["kinds"][base].get(key)) for c in courses]
     ratios = np.array([a / b for a, b in pairs if a is not None and b])
     if not len(ratios):
@@ -208,7 +208,7 @@ def _residual_table(kinds: Mapping[str, Row]) -> list[Row]:
 
 
 def _interval(ratio: Row) -> str:
-    """Median and 95 % of bootstraps."""
+    """Return the median and its 95 % bootstrap interval as text."""
     ci = ratio["ci95"]
     return "" if ci is None else f"{ratio['median']:.2f} ({ci[0]:.2f}-{ci[1]:.2f})"
 
@@ -233,7 +233,7 @@ def _ratio_table(ratios: Mapping[str, Mapping[str, Mapping[str, Row]]]) -> list[
 
 
 def _claims(figures: Mapping[str, Any]) -> list[Row]:
-    """Return what section V-B and the flights of VI-D say of trajectories, confirmed or not."""
+    """Return the claims of section V-B and the flights of VI-D, confirmed or not."""
     drag = {kind: row["drag_mean_n"] for kind, row in figures["planned"].items()}
     error = figures["ratios"]["min-snap"]
     star, plain = error["min-residual*"]["error"]["median"], error["min-residual"]["error"]["median"]

@@ -1,4 +1,4 @@
-"""JAX's derivative is phi's and its gradient ours; another gradient is refused."""
+"""JAX's derivative is phi's and its gradient ours; gradient differs is refused."""
 
 from __future__ import annotations
 
@@ -112,7 +112,7 @@ def test_peer_with_another_gradient_is_refused(
 
     phi, segments, xi, ours = batch
     monkeypatch.setattr(jax_rollouts, "PEERS", {"Euler": (euler, True)})
-    with pytest.raises(ValueError, match="Euler has another gradient"):
+    with pytest.raises(ValueError, match="Euler has gradient differs"):
         peers.measure(phi, LAYOUT, segments, xi, WEIGHT, ours, repeats=1)
 
 

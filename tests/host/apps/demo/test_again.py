@@ -14,7 +14,7 @@ from trimtab.host.apps.demo import session
 from trimtab.host.apps.demo.files import JSON_NAME, REPORT_NAME
 from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
-from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.base.errors import FlightFailed, SolverError
 from trimtab.host.effects import load_effects
 from trimtab.host.trace import words
@@ -53,7 +53,7 @@ gaps_s = [[6.0, 60.0]]
 def run(world: str, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outcome:
     path = folder / "world.toml"
     path.write_text(world, encoding="utf-8")
-    order = DemoOrder(vehicle=vehicle, folder=folder / "demo", seed=8, world=str(path), routes=routes)
+    order = DemoRequest(vehicle=vehicle, folder=folder / "demo", seed=8, world=str(path), routes=routes)
     return run_demo(order, load_effects())
 
 

@@ -72,4 +72,4 @@ def test_effects_predicted_to_make_it_worse_are_not_applied(
 def test_effects_that_the_law_cannot_make_up_for_are_not_applied(vehicle: Vehicle) -> None:
     found, why = to_apply(model(vehicle, motor_lag={"extra_s": 0.02}), vehicle, EFFECTS, 1.0, lambda ff: 0.1)
     assert found is None
-    assert why == "motor-lag: nothing that the law on board can make up for"
+    assert why == "motor-lag: not compensable on board"

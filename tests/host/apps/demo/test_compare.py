@@ -137,7 +137,7 @@ def test_report_of_a_demo_without_a_second_plan_says_why(planned: Planned, vehic
     flown, worse = report.sections(comparison, no_prediction(), vehicle)["sections"]
     assert "No new plan was flown: nothing was traced." in flown["text"][0]
     assert len(flown["table"][0]) == 2
-    assert "Nothing of what was measured got worse" in worse["text"][0]
+    assert "No measured error got worse" in worse["text"][0]
     assert report.summary(comparison.to_json()) == [
         "tracking error on route hop: 52.0 mm as first flown",
         "  no new plan: nothing was traced",

@@ -21,7 +21,7 @@ from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME
 from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
@@ -40,9 +40,9 @@ def demo(
     tmp_path_factory: pytest.TempPathFactory, short_routes: DemoRoutes
 ) -> tuple[Path, Outcome, list[str]]:
     folder = tmp_path_factory.mktemp("demo")
-    order = DemoOrder(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
+    order = DemoRequest(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
     said: list[str] = []
-    return folder, run_demo(order, load_effects(), say=said.append), said
+    return folder, run_demo(order, load_effects(), on_message=said.append), said
 
 
 Demo = tuple[Path, Outcome, list[str]]
@@ -178,7 +178,7 @@ def test_demo_answers_with_the_keys_of_trace_and_its_own(demo: Demo) -> None:
 
 def test_demo_report_is_one_file_with_both_comparisons_and_its_numbers(demo: Demo) -> None:
     html = (demo[0] / REPORT_NAME).read_text()
-    for text in ("Flown before and after", "What got worse", "new plan, effects applied", "planned path, m"):
+    for text in ("Flown before and after", "Deteriorations", "new plan, effects applied", "planned path, m"):
         assert text in html
     assert "http://" not in html.replace("http://www.w3.org", "")
     data = html.partition('<script type="application/json" id="data">')[2].partition("</script>")[0]

@@ -41,7 +41,7 @@ def test_demo_into_a_folder_that_holds_files_is_refused(
     assert cli.main(["demo", "-o", "kept"]) == 2
     assert "kept: holds files, choose another folder or add --force" in capsys.readouterr().err
     assert cli.main(["demo", "-o", "kept/notes.txt"]) == 2
-    assert "is a file, give a folder" in capsys.readouterr().err
+    assert "is a file; give a folder" in capsys.readouterr().err
 
 
 def test_demo_without_a_folder_takes_the_next_free_name(

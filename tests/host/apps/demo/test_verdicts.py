@@ -8,14 +8,14 @@ import pytest
 
 from trimtab.host.apps.demo.files import REPORT_NAME
 from trimtab.host.apps.demo.routes import DemoRoutes
-from trimtab.host.apps.demo.session import DemoOrder, Outcome, run_demo
+from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.vehicle import Vehicle
 
 
 def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outcome:
-    order = DemoOrder(vehicle=vehicle, folder=folder, seed=seed, world=world, routes=routes)
-    return run_demo(order, load_effects(), say=lambda _: None)
+    order = DemoRequest(vehicle=vehicle, folder=folder, seed=seed, world=world, routes=routes)
+    return run_demo(order, load_effects(), on_message=lambda _: None)
 
 
 # In the full run: tracing's own tests have the verdict.

@@ -1,4 +1,4 @@
-"""Which vehicle is at the port, and whether blobs are for it."""
+"""Check that the vehicle at the port is the one that blobs were made for."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward
 
 
 def name_of(vehicle_id: str) -> str | None:
-    """Name of the vehicle file with that id, shipped or in the current folder; None where none has it."""
+    """Return the name of the vehicle file with this id, shipped or in the current folder, or None."""
     here = Path.cwd()
     for name in list_vehicles(here):
         with suppress(ConfigurationError):
@@ -22,17 +22,17 @@ def name_of(vehicle_id: str) -> str | None:
 
 
 def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: str) -> None:
-    """Raise UsageError where the vehicle at the port is not the one that `what` was made for."""
+    """Raise UsageError if the vehicle at the port is not the one that `what` was made for."""
     if identity.vehicle_id != vehicle_id:
-        there = name_of(identity.vehicle_id)
+        port_name = name_of(identity.vehicle_id)
         raise UsageError(
             f"{port} is {_called(identity.vehicle_id)}, {what} is for {_called(vehicle_id)}; "
-            f"plan anew with --vehicle {there or 'and the file of that vehicle'}, or check the port"
+            f"plan again with --vehicle {port_name or 'and the file of that vehicle'}, or check the port"
         )
 
 
 def neutral_feedforward(vehicle_id: str) -> FeedForward:
-    """Return the feed-forward that changes nothing: a vehicle flies with it as with none."""
+    """Return the feed-forward without effect: a vehicle flies with it as without any."""
     return FeedForward(vehicle_id=vehicle_id, model_id="0" * 12, block=NEUTRAL_BLOCK)
 
 

@@ -8,7 +8,7 @@ import pytest
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.link.tasks import Identity
-from trimtab.host.link.whose import check_same_vehicle, name_of, neutral_feedforward
+from trimtab.host.link.vehicle_match import check_same_vehicle, name_of, neutral_feedforward
 from trimtab.host.vehicle import load_vehicle
 from trimtab.host.vehicle.files import write_toml
 
@@ -39,7 +39,7 @@ def test_check_same_vehicle_names_both_and_what_to_do() -> None:
         (
             Identity(vehicle_id=nano, uid="1"),
             rf"^ttyX is the nano \({nano}\), the reference is for the research \({research}\); "
-            "plan anew with --vehicle nano, or check the port$",
+            "plan again with --vehicle nano, or check the port$",
         ),
         (STRANGER, "^ttyX is vehicle a{12}, the reference is .* --vehicle and the file of that vehicle, or"),
     ):

@@ -1,4 +1,4 @@
-"""What to fly, and how the flight ended."""
+"""The request for a flight, and how the flight ended."""
 
 from __future__ import annotations
 
@@ -13,17 +13,27 @@ from trimtab.protocol.blobs import FeedForward, Reference
 
 
 @dataclass(frozen=True, kw_only=True)
-class FlightOrder:
+class FlightRequest:
     """What to fly, and where to log it.
 
-    Fields:
-        port, cameras: how messages call the vehicle's port and the camera system.
-        upload: send what is not live on board; otherwise that is an error.
-        as_flashed: fly with parameters on board that differ from the vehicle file.
-        parameters: set on board before the flight, over the vehicle file's; they stay there.
-        model_id: of the model the plan was made with. session: more for the log's provenance.
-        camera_delay_us: least time from exposure to arrival; None where host and cameras share a clock.
-        then: a reference to send in flight, which takes over `swap_us` after the first one's start.
+    Attributes
+    ----------
+    port, cameras
+        Names of the vehicle's port and of the camera system in messages.
+    upload
+        Whether to upload blobs that are not live on board. If False, a missing blob is an error.
+    as_flashed
+        Whether to fly even if parameters on board differ from the vehicle file.
+    parameters
+        Values to set on board before the flight, overriding the vehicle file. They stay on board.
+    model_id
+        Id of the model that the plan was made with.
+    session
+        Further entries for the provenance in the log.
+    camera_delay_us
+        Minimum time from exposure to arrival; None if host and cameras share a clock.
+    then
+        Second reference. It is uploaded in flight and takes over `swap_us` after the start of the first.
     """
 
     vehicle: Vehicle
@@ -50,15 +60,16 @@ class FlightOrder:
             if blob is not None and blob.vehicle_id != self.vehicle.id:
                 raise UsageError(
                     f"the {name} {blob.id} was made for vehicle {blob.vehicle_id}, not for "
-                    f"{self.vehicle.name} ({self.vehicle.id}); plan it anew or give the right --vehicle"
+                    f"{self.vehicle.name} ({self.vehicle.id}); plan it again or give the right --vehicle"
                 )
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightEnd:
-    """How a flight ended: `whole` says that the reference was flown to its end, `failsafe` names why not.
+    """How a flight ended.
 
-    swap: what became of the second reference, None where there was none.
+    `whole`: the reference was flown to its end. `failsafe`: name of the failsafe that ended the flight, if
+    any. `swap`: outcome of the reference swap; None if none was requested.
     """
 
     whole: bool
