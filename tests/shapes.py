@@ -2,6 +2,7 @@
 
 A shape lists axes. A number is a length. A name stands for one length within a call or an object. `_` is any
 length, and `...` at the start stands for any leading axes. Only arrays are checked: not None, not symbols.
+The arrays of a tuple of fixed length are checked too; those of lists and dictionaries are not.
 
 Run as a program, this checks a verb of Trimtab: `python tests/shapes.py trace a.mcap`. It prints the first
 array of a wrong shape and returns 70, or prints how many arrays it checked.
@@ -30,12 +31,38 @@ class ShapeError(BaseException):
 
 
 def shape_of(hint: Any) -> str | None:
-    """Return the shape of `Annotated[np.ndarray, shape]`, also where other types are allowed beside it."""
+    """Return the shape of `Annotated[np.ndarray, shape]`, also where other types are allowed beside it.
+
+    `NDArray[..]` may stand for `np.ndarray`.
+    """
     if get_origin(hint) is Annotated:
-        return hint.__metadata__[0] if hint.__origin__ is np.ndarray else None
+        of = get_origin(hint.__origin__) or hint.__origin__
+        return hint.__metadata__[0] if of is np.ndarray else None
     if get_origin(hint) in (Union, UnionType):
         return next((shape for shape in map(shape_of, get_args(hint)) if shape is not None), None)
     return None
+
+
+def shapes_of(hint: Any) -> str | tuple[Any, ...] | None:
+    """Return `shape_of`, for a tuple the same of each entry; None where there is no shape."""
+    shape = shape_of(hint)
+    if shape is not None:
+        return shape
+    if get_origin(hint) in (Union, UnionType):
+        return next((shapes for shapes in map(shapes_of, get_args(hint)) if shapes is not None), None)
+    if get_origin(hint) is not tuple or ... in get_args(hint):
+        return None
+    shapes = tuple(map(shapes_of, get_args(hint)))
+    return shapes if any(each is not None for each in shapes) else None
+
+
+def check_all(value: Any, shapes: str | tuple[Any, ...] | None, lengths: dict[str, int], where: str) -> None:
+    """Compare an array, or the arrays of a tuple, as `check` does."""
+    if isinstance(shapes, str):
+        check(value, shapes, lengths, where)
+    elif isinstance(shapes, tuple) and isinstance(value, tuple):
+        for k, (entry, each) in enumerate(zip(value, shapes, strict=True)):
+            check_all(entry, each, lengths, f"{where}[{k}]")
 
 
 def check(value: Any, shape: str, lengths: dict[str, int], where: str) -> None:
@@ -56,14 +83,14 @@ def check(value: Any, shape: str, lengths: dict[str, int], where: str) -> None:
         raise ShapeError(f"{where} has shape {value.shape}, not ({shape}) with {lengths}")
 
 
-def shapes_in(annotations: Mapping[str, Any], module: ModuleType) -> dict[str, str]:
-    """Return the shape of each annotated array, by name."""
+def shapes_in(annotations: Mapping[str, Any], module: ModuleType) -> dict[str, str | tuple[Any, ...]]:
+    """Return the shapes of each annotated array or tuple of arrays, by name."""
     hints = {
         name: eval(hint, vars(module)) if isinstance(hint, str) else hint
         for name, hint in annotations.items()
         if "Annotated" in str(hint)
     }
-    return {name: shape for name, hint in hints.items() if (shape := shape_of(hint)) is not None}
+    return {name: shapes for name, hint in hints.items() if (shapes := shapes_of(hint)) is not None}
 
 
 def checked_function(function: Callable[..., Any], module: ModuleType) -> Callable[..., Any]:
@@ -78,10 +105,10 @@ def checked_function(function: Callable[..., Any], module: ModuleType) -> Callab
         lengths: dict[str, int] = {}
         for name, value in signature.bind(*args, **kwargs).arguments.items():
             if name in shapes:
-                check(value, shapes[name], lengths, f"{function.__qualname__}: {name}")
+                check_all(value, shapes[name], lengths, f"{function.__qualname__}: {name}")
         result = function(*args, **kwargs)
         if "return" in shapes:
-            check(result, shapes["return"], lengths, f"{function.__qualname__}: result")
+            check_all(result, shapes["return"], lengths, f"{function.__qualname__}: result")
         return result
 
     return call
@@ -106,7 +133,7 @@ def check_class(cls: type, module: ModuleType) -> None:
         build(self, *args, **kwargs)
         lengths: dict[str, int] = {}
         for name, shape in shapes.items():
-            check(getattr(self, name), shape, lengths, f"{cls.__name__}.{name}")
+            check_all(getattr(self, name), shape, lengths, f"{cls.__name__}.{name}")
 
     setattr(cls, "__init__", init)  # noqa: B010
 

@@ -9,8 +9,9 @@ from typing import Annotated, Optional
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
-from tests.shapes import ShapeError, check, shape_of
+from tests.shapes import ShapeError, check, check_all, shape_of, shapes_of
 
 ROOT = Path(__file__).parents[1]
 DATA = ROOT / "tests" / "data"
@@ -51,8 +52,24 @@ def test_name_is_one_length_among_several_arrays() -> None:
 def test_shape_is_read_from_an_annotation() -> None:
     assert shape_of(Annotated[np.ndarray, "rows 3"]) == "rows 3"
     assert shape_of(Optional[Annotated[np.ndarray, "3"]]) == "3"  # noqa: UP045  as a string evaluates
+    assert shape_of(Annotated[NDArray[np.int64], "rows"]) == "rows"
     assert shape_of(np.ndarray) is None
     assert shape_of(Annotated[float, "m"]) is None
+
+
+def test_arrays_of_a_tuple_are_compared() -> None:
+    shapes = shapes_of(
+        tuple[float, Annotated[np.ndarray, "rows 3"], tuple[Annotated[np.ndarray, "rows"], int]]
+    )
+    assert shapes == (None, "rows 3", ("rows", None))
+    check_all((0.0, np.zeros((2, 3)), (np.zeros(2), 1)), shapes, {}, "x")
+    with pytest.raises(ShapeError, match=r"x\[2\]\[0\] has shape"):
+        check_all((0.0, np.zeros((2, 3)), (np.zeros(3), 1)), shapes, {}, "x")
+
+
+def test_tuple_without_shapes_has_none() -> None:
+    assert shapes_of(tuple[float, np.ndarray]) is None
+    assert shapes_of(tuple[Annotated[np.ndarray, "3"], ...]) is None
 
 
 @pytest.mark.full  # each runs a verb with every array checked

@@ -10,6 +10,7 @@ import ctypes
 import logging
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -66,19 +67,19 @@ class RungeKutta:
 
     def __call__(
         self,
-        x0: np.ndarray,
-        drive: np.ndarray,
-        drive_of: np.ndarray,
-        constants: list[np.ndarray],
+        x0: Annotated[np.ndarray, "lanes size"],
+        drive: Annotated[np.ndarray, "drives stages inputs"],
+        drive_of: Annotated[np.ndarray, "lanes"],
+        constants: list[Annotated[np.ndarray, "lanes _"]],
         *,
         step_s: float,
         every: int,
         rows: int,
-    ) -> np.ndarray:
-        """Return the first `rows` states (lanes, n, rows) at the start and after every `every` steps.
+    ) -> Annotated[np.ndarray, "lanes samples rows"]:
+        """Return the first `rows` states at the start and after every `every` steps.
 
-        x0: (lanes, size). drive: (drives, 2 steps + 1, inputs) at the start, middle and end of each step.
-        drive_of: (lanes,) index of each lane's drive. constants: (lanes, each); inputs after the last are 0.
+        drive: at the start, middle and end of each step. drive_of: index of each lane's drive. constants:
+        inputs of the function after the last are 0.
         """
         f, (lanes, size) = self.function, x0.shape
         steps = drive.shape[1] // 2

@@ -8,6 +8,7 @@ often, are vector code with an error of about 1e-16.
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -117,7 +118,7 @@ def simd_library(source: str, compiler: Compiler) -> str:
     return str(shared_library(PRELUDE + source, compiler, native=True))
 
 
-def lanes_of(rows: np.ndarray) -> np.ndarray:
+def lanes_of(rows: np.ndarray) -> Annotated[np.ndarray, "... lanes"]:
     """Return rows (n, ...) as aligned (groups, ..., LANES); the first row fills the last group."""
     groups = -(-len(rows) // LANES)
     index = np.zeros(groups * LANES, dtype=int)
@@ -128,7 +129,7 @@ def lanes_of(rows: np.ndarray) -> np.ndarray:
     return out
 
 
-def rows_of(lanes: np.ndarray, count: int) -> np.ndarray:
+def rows_of(lanes: Annotated[np.ndarray, "... lanes"], count: int) -> np.ndarray:
     """Return the first `count` rows (count, ...) of an array by `lanes_of`."""
     rows = np.moveaxis(lanes, -1, 1)
     return rows.reshape(-1, *rows.shape[2:])[:count]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Annotated
 
 import numpy as np
 
@@ -12,7 +13,9 @@ _BETA1, _BETA2, _EPSILON = 0.9, 0.999, 1e-8
 class Adam:
     """A minimiser over `x` by gradients; the step size goes from `rate` to `last` times `rate` in `steps`."""
 
-    def __init__(self, x: np.ndarray, *, rate: float, steps: int, last: float = 0.01) -> None:
+    def __init__(
+        self, x: Annotated[np.ndarray, "values"], *, rate: float, steps: int, last: float = 0.01
+    ) -> None:
         if not (rate > 0.0 and steps > 0 and 0.0 < last <= 1.0):
             raise ValueError(f"need rate > 0, steps > 0, 0 < last <= 1, got {rate}, {steps}, {last}")
         self.x = np.array(x, dtype=float)
@@ -21,7 +24,7 @@ class Adam:
         self._mean = np.zeros_like(self.x)
         self._square = np.zeros_like(self.x)
 
-    def step(self, gradient: np.ndarray) -> None:
+    def step(self, gradient: Annotated[np.ndarray, "values"]) -> None:
         """Move `x` by one step against the gradient."""
         phase = min(self._count / self.steps, 1.0)
         rate = self.rate * (self.last + (1.0 - self.last) * 0.5 * (1.0 + math.cos(math.pi * phase)))

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import casadi
 import numpy as np
@@ -24,8 +24,15 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import Segments
 
-Pushed = Callable[[np.ndarray, np.ndarray, np.ndarray], np.ndarray]
-"""(x0 (S, size), theta (S, P), push (S, 2 N + 1, 3)) -> states (S, N + 1, size): a roll-out of segments.
+Pushed = Callable[
+    [
+        Annotated[np.ndarray, "segments size"],
+        Annotated[np.ndarray, "segments parameters"],
+        Annotated[np.ndarray, "segments stages 3"],
+    ],
+    Annotated[np.ndarray, "segments nodes size"],
+]
+"""(x0, theta, push) -> states: a roll-out of segments.
 
 push: an acceleration, NED, at the start, middle and end of each step.
 """
@@ -33,12 +40,12 @@ push: an acceleration, NED, at the start, middle and end of each step.
 
 @dataclass(frozen=True, kw_only=True)
 class Gradient:
-    """Loss and its gradients by xi (m,), theta (P,) and each segment's start (segments, size)."""
+    """Loss and its gradients by xi, theta and each segment's start."""
 
     loss: float
-    xi: np.ndarray
-    x0: np.ndarray
-    theta: np.ndarray
+    xi: Annotated[np.ndarray, "weights"]
+    x0: Annotated[np.ndarray, "segments size"]
+    theta: Annotated[np.ndarray, "parameters"]
 
 
 def check_step(phi: Phi, step_s: float) -> None:
@@ -48,7 +55,7 @@ def check_step(phi: Phi, step_s: float) -> None:
 
 
 class Rollouts:
-    """Roll-outs of a batch of segments and their gradient. `weight` (12,): diagonal L of the loss.
+    """Roll-outs of a batch of segments and their gradient. `weight`: diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3). The loss of the
     batch is the sum over its segments. `engine`: as of `trimtab.host.codegen`.
@@ -58,11 +65,11 @@ class Rollouts:
         self,
         phi: Phi,
         layout: Layout,
-        theta: np.ndarray,
+        theta: Annotated[np.ndarray, "parameters"],
         *,
         batch: int,
         step_s: float,
-        weight: np.ndarray,
+        weight: Annotated[np.ndarray, "12"],
         engine: str | None = None,
     ) -> None:
         check_step(phi, step_s)
@@ -72,8 +79,13 @@ class Rollouts:
         self._step = Buffered(model.step())
         self._adjoint = Buffered(model.adjoint())
 
-    def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """Return the states (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+    def roll_out(
+        self,
+        segments: Segments,
+        x0: Annotated[np.ndarray, "segments size"],
+        xi: Annotated[np.ndarray, "weights"],
+    ) -> Annotated[np.ndarray, "nodes segments size"]:
+        """Return the states from the starts x0: equation 7."""
         return self._rolled(segments, x0, xi)[:, : segments.count]
 
     def _rolled(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
@@ -89,7 +101,12 @@ class Rollouts:
             states[k + 1] = step.outputs["next"]
         return states
 
-    def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
+    def gradient(
+        self,
+        segments: Segments,
+        x0: Annotated[np.ndarray, "segments size"],
+        xi: Annotated[np.ndarray, "weights"],
+    ) -> Gradient:
         """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         states = self._rolled(segments, x0, xi)
         measured = self._filled(segments.measured).transpose(1, 0, 2)
@@ -152,8 +169,12 @@ class Rollouts:
             rows[segments.count :] = segments.drive[0, 2 * k + i]
 
 
-def loss_of(segments: Segments, states: np.ndarray, weight: np.ndarray) -> float:
-    """Return the sum over segments of the mean weighted squared distance; states (N + 1, S, size)."""
+def loss_of(
+    segments: Segments,
+    states: Annotated[np.ndarray, "nodes segments size"],
+    weight: Annotated[np.ndarray, "12"],
+) -> float:
+    """Return the sum over segments of the mean weighted squared distance."""
     error = states[1:, :, :MEASURED] - segments.measured[:, 1:].transpose(1, 0, 2)
     return float(np.einsum("ksi,i->", error**2, weight) / segments.steps)
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -21,13 +21,13 @@ from trimtab.host.models.slots import mocap_latency_s
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Candidate:
-    """phi at theta (P,) with a network or none.
+    """phi at theta with a network or none.
 
     forms: the learned ones of its effects. delay_s: how much older poses are than stamped, in the log only.
     """
 
     phi: Phi
-    theta: np.ndarray
+    theta: Annotated[np.ndarray, "parameters"]
     forms: tuple[str, ...] = ()
     network: Network | None = None
     delay_s: float = 0.0

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -27,21 +28,22 @@ _BLOCK = 32
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Condensed:
-    """The loss of each segment, c + 2 g' u + u' H u, with u = [d at the nodes (N + 1, 3); eta; delay] - `at`.
+    """The loss of each segment, c + 2 g' u + u' H u, with u = [d at the nodes; eta; delay] - `at`.
 
-    hessian (S, m, m), slope (S, m), constant (S,), at (S, m), m = 3 (N + 1) + P + 1. A segment's loss is the
-    weighted mean over its steps. eta (P,): free parameters of effects in typical sizes from neutral. The
-    delay is in units of DELAY_S.
+    The unknowns u are 3 for each node, eta and 1. eta: free parameters of effects in typical sizes from
+    neutral. The delay is in units of DELAY_S. A segment's loss is the weighted mean over its steps.
     """
 
-    hessian: np.ndarray
-    slope: np.ndarray
-    constant: np.ndarray
-    at: np.ndarray
+    hessian: Annotated[np.ndarray, "segments unknowns unknowns"]
+    slope: Annotated[np.ndarray, "segments unknowns"]
+    constant: Annotated[np.ndarray, "segments"]
+    at: Annotated[np.ndarray, "segments unknowns"]
     nodes: int
 
-    def loss(self, u: np.ndarray) -> tuple[float, np.ndarray]:
-        """Return the sum over segments for u (S, m), and its slope (S, m)."""
+    def loss(
+        self, u: Annotated[np.ndarray, "segments unknowns"]
+    ) -> tuple[float, Annotated[np.ndarray, "segments unknowns"]]:
+        """Return the sum over segments for u, and its slope."""
         away = u - self.at
         pulled = np.matmul(self.hessian, away[:, :, None])[:, :, 0]
         total = float(self.constant.sum() + (away * (pulled + 2.0 * self.slope)).sum())
@@ -56,20 +58,19 @@ def condense(  # noqa: PLR0913 (the data of one problem)
     engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,
-    weight: np.ndarray,
-    start_sigma: np.ndarray,
-    acceleration: np.ndarray,
-    theta: np.ndarray,
+    weight: Annotated[np.ndarray, "12"],
+    start_sigma: Annotated[np.ndarray, "segments size"],
+    acceleration: Annotated[np.ndarray, "segments nodes 3"],
+    theta: Annotated[np.ndarray, "parameters"],
     free: Sequence[int],
     delay_s: float = 0.0,
     taken_s: float = 0.0,
 ) -> Condensed:
     """Return the segments' loss, condensed about a residual acceleration, theta and a delay of poses.
 
-    acceleration: (S, N + 1, 3), NED. theta: (P,). weight: (12,) diagonal L of the loss. start_sigma: (S,
-    size) scale of changes of the starts. free: entries of theta that are learned. taken_s: the latency that
-    the measured states were given. An effect that makes poses late delays the measured states too, in
-    addition to its effect on board.
+    acceleration: NED. weight: diagonal L of the loss. start_sigma: scale of changes of the starts. free:
+    entries of theta that are learned. taken_s: the latency that the measured states were given. An effect
+    that makes poses late delays the measured states too, in addition to its effect on board.
     """
     scale = effect_scales(engine.phi)
     now_s, unit = latency_s(engine.phi, theta), np.diag(scale)
@@ -115,6 +116,6 @@ def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:
     return rates
 
 
-def latency_s(phi: Phi, theta: np.ndarray) -> float:
+def latency_s(phi: Phi, theta: Annotated[np.ndarray, "parameters"]) -> float:
     """Return the undeclared age of a pose at its time stamp, by phi's effects at theta."""
     return float(mocap_latency_s(FLOAT, phi.parts(theta)))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -32,7 +33,10 @@ class Errors:
 
 
 def whole_flights(
-    phi: Phi, theta: np.ndarray, flights: Sequence[States], network: Network | None = None
+    phi: Phi,
+    theta: Annotated[np.ndarray, "parameters"],
+    flights: Sequence[States],
+    network: Network | None = None,
 ) -> Errors:
     """Return the errors of whole flights predicted from their references, from the first tracked state.
 
@@ -50,8 +54,10 @@ def whole_flights(
     )
 
 
-def predict(phi: Phi, theta: np.ndarray, states: States, network: Network | None = None) -> np.ndarray:
-    """Return the 12 states (n, 12) of a flight at its samples, predicted from its reference."""
+def predict(
+    phi: Phi, theta: Annotated[np.ndarray, "parameters"], states: States, network: Network | None = None
+) -> Annotated[np.ndarray, "samples 12"]:
+    """Return the 12 states of a flight at its samples, predicted from its reference."""
     split = phi.substeps(states.step_s)
     step_s = states.step_s / split
     times = half_steps(states.t_s[0], split * (len(states.t_s) - 1), step_s)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
@@ -39,30 +40,33 @@ class Basis:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examples:
-    """Condensed segments with v_ned and Theta at their nodes (S, N + 1, 6)."""
+    """Condensed segments with v_ned and Theta at their nodes."""
 
     condensed: Condensed
-    states: np.ndarray
+    states: Annotated[np.ndarray, "segments nodes 6"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Fitted:
-    """The values of least validation loss: weights xi (m,), eta (P,) in typical sizes, delay_s.
+    """The values of least validation loss: weights xi, eta in typical sizes, delay_s.
 
-    With them the number of iterations, the best one, and the losses of training and validation after each.
+    With them the number of iterations, the best one, and the losses of training and validation after each;
+    validation's also before the first.
     """
 
-    xi: np.ndarray
-    eta: np.ndarray
+    xi: Annotated[np.ndarray, "weights"]
+    eta: Annotated[np.ndarray, "parameters"]
     delay_s: float
     iterations: int
     best: int
-    train_loss: np.ndarray
-    validation_loss: np.ndarray
+    train_loss: Annotated[np.ndarray, "iterations"]
+    validation_loss: Annotated[np.ndarray, "checks"]
 
 
-def accelerations(basis: Basis, xi: np.ndarray, states: np.ndarray) -> np.ndarray:
-    """Return the network's acceleration (S, N + 1, 3), NED, at states (S, N + 1, 6)."""
+def accelerations(
+    basis: Basis, xi: Annotated[np.ndarray, "weights"], states: Annotated[np.ndarray, "segments nodes 6"]
+) -> Annotated[np.ndarray, "segments nodes 3"]:
+    """Return the network's acceleration, NED, at states."""
     if basis.layout is None:
         return np.zeros((*states.shape[:2], 3))
     flat = basis.layout.arrays(xi, states.reshape(-1, 6).T)
@@ -73,17 +77,17 @@ def fit(  # noqa: PLR0913 (the data of one problem)
     basis: Basis,
     train: Examples,
     validation: Examples,
-    start: np.ndarray,
+    start: Annotated[np.ndarray, "values"],
     *,
     iterations: int,
     patience: int,
     l2: float,
-    headings: np.ndarray | None = None,
+    headings: Annotated[np.ndarray, "copies segments"] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> Fitted:
-    """Return the values that fit best, from `start` (size,); stop early where validation does not improve.
+    """Return the values that fit best, from `start`; stop early where validation does not improve.
 
-    l2: penalty on the weights, for a loss scaled to a unit mean diagonal. headings (copies, S), rad: every
+    l2: penalty on the weights, for a loss scaled to a unit mean diagonal. headings, rad: every
     segment counts once for each of these angles, turned by it.
     """
     problem = _Problem(basis, train, l2=l2, headings=headings)

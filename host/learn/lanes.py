@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+from typing import Annotated
 
 import numpy as np
 
@@ -19,7 +20,13 @@ _log = logging.getLogger(__name__)
 
 
 def rollouts(
-    phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, weight: np.ndarray
+    phi: Phi,
+    layout: Layout,
+    theta: Annotated[np.ndarray, "parameters"],
+    *,
+    batch: int,
+    step_s: float,
+    weight: Annotated[np.ndarray, "12"],
 ) -> Rollouts | LaneRollouts:
     """Return Algorithm 1 for batches of up to `batch` segments: in C where a compiler works, else by CasADi.
 
@@ -43,10 +50,10 @@ class LaneRollouts:
         self,
         phi: Phi,
         layout: Layout,
-        theta: np.ndarray,
+        theta: Annotated[np.ndarray, "parameters"],
         *,
         step_s: float,
-        weight: np.ndarray,
+        weight: Annotated[np.ndarray, "12"],
         compiler: Compiler,
     ) -> None:
         check_step(phi, step_s)
@@ -57,8 +64,13 @@ class LaneRollouts:
         self._theta[: len(theta)] = np.asarray(theta)[:, None]
         self._stages, self._still = aligned((0,)), aligned((0,))
 
-    def roll_out(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """Return the states (N + 1, segments, size) from the starts x0 (segments, size): equation 7."""
+    def roll_out(
+        self,
+        segments: Segments,
+        x0: Annotated[np.ndarray, "segments size"],
+        xi: Annotated[np.ndarray, "weights"],
+    ) -> Annotated[np.ndarray, "nodes segments size"]:
+        """Return the states from the starts x0: equation 7."""
         states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
         return np.moveaxis(rows_of(states, segments.count), 0, 1)
 
@@ -83,7 +95,12 @@ class LaneRollouts:
 
         return roll
 
-    def gradient(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> Gradient:
+    def gradient(
+        self,
+        segments: Segments,
+        x0: Annotated[np.ndarray, "segments size"],
+        xi: Annotated[np.ndarray, "weights"],
+    ) -> Gradient:
         """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         xi = np.ascontiguousarray(xi, dtype=float)
         states, (drive, flight) = self._rolled(segments, x0, xi)

@@ -6,6 +6,7 @@ A step has few inputs, so this takes about as long as forty roll-outs, for any n
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -24,18 +25,20 @@ _SHARE = 0.02
 def linearised(
     engine: Rollouts | LaneRollouts,
     segments: Segments,
-    start: np.ndarray,
-    acceleration: np.ndarray,
-    theta: np.ndarray,
+    start: Annotated[np.ndarray, "segments size"],
+    acceleration: Annotated[np.ndarray, "segments nodes 3"],
+    theta: Annotated[np.ndarray, "parameters"],
     free: Sequence[int],
-    sigma: np.ndarray,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return the predictions (S, 12 N) with their slopes.
+    sigma: Annotated[np.ndarray, "segments size"],
+) -> tuple[
+    Annotated[np.ndarray, "segments rows"],
+    Annotated[np.ndarray, "segments rows columns"],
+    Annotated[np.ndarray, "segments rows size"],
+]:
+    """Return the predictions, 12 rows for each step, with their slopes.
 
-    The slopes are by node accelerations and free parameters (S, 12 N, 3 (N + 1) + P), and by sigmas of the
-    start (S, 12 N, size).
-
-    Each step is linearised by central differences about the roll-out, and the steps are chained.
+    The slopes are by node accelerations and free parameters, and by sigmas of the start. Each step is
+    linearised by central differences about the roll-out, and the steps are chained.
     """
     count, nodes = acceleration.shape[:2]
     steps, size = nodes - 1, engine.phi.size
@@ -116,14 +119,14 @@ def _step_slopes(
     )
 
 
-def between(nodes: np.ndarray) -> np.ndarray:
-    """Return the values (..., N + 1, 3) at nodes with their means half way between: (..., 2 N + 1, 3)."""
+def between(nodes: Annotated[np.ndarray, "... nodes 3"]) -> Annotated[np.ndarray, "... stages 3"]:
+    """Return the values at nodes with their means half way between."""
     out = np.empty((*nodes.shape[:-2], 2 * nodes.shape[-2] - 1, nodes.shape[-1]))
     out[..., 0::2, :] = nodes
     out[..., 1::2, :] = 0.5 * (nodes[..., 1:, :] + nodes[..., :-1, :])
     return out
 
 
-def effect_scales(phi: Phi) -> np.ndarray:
-    """Return the typical sizes (P,) of the parameters of phi's effects."""
+def effect_scales(phi: Phi) -> Annotated[np.ndarray, "parameters"]:
+    """Return the typical sizes of the parameters of phi's effects."""
     return np.array([p.typical for effect in phi.effects for p in effect.parameters])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Annotated
 
 import numpy as np
 
@@ -59,7 +60,7 @@ class CondensedTrained:
     """
 
     network: Network | None
-    theta: np.ndarray
+    theta: Annotated[np.ndarray, "parameters"]
     delay_s: float
     fitted: tuple[Fitted, ...]
     before: float
@@ -73,21 +74,21 @@ class CondensedTrained:
 
 def train_condensed(  # noqa: PLR0913 (the data of one problem)
     phi: Phi,
-    theta: np.ndarray,
+    theta: Annotated[np.ndarray, "parameters"],
     segments: Segments,
     validation: Segments,
     settings: CondensedSettings,
     rng: np.random.Generator,
     *,
-    weight: np.ndarray,
+    weight: Annotated[np.ndarray, "12"],
     free: Sequence[int] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
     """Return the residual of phi learned from `segments`: parameters of its effects and a network.
 
-    theta: (P,) parameters to begin at; the measured states have the latency that it gives. weight: (12,)
-    diagonal L of the loss. free: indices of theta that are learned; default all. on_iteration: called with
-    the number of iterations of all passes so far, and the validation loss.
+    theta: parameters to begin at; the measured states have the latency that it gives. weight: diagonal L of
+    the loss. free: indices of theta that are learned; default all. on_iteration: called with the number of
+    iterations of all passes so far, and the validation loss.
     """
     chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
     scale = effect_scales(phi)[chosen]
@@ -178,7 +179,11 @@ class _Condenser:
 
 
 def rolled_loss(
-    phi: Phi, theta: np.ndarray, network: Network | None, segments: Segments, weight: np.ndarray
+    phi: Phi,
+    theta: Annotated[np.ndarray, "parameters"],
+    network: Network | None,
+    segments: Segments,
+    weight: Annotated[np.ndarray, "12"],
 ) -> float:
     """Return the mean loss of true roll-outs from the segments' measured starts; infinite if one diverges."""
     layout = _SMALLEST if network is None else network.layout

@@ -8,6 +8,7 @@ least-squares step, with the sensitivity of the roll-out computed once from the 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -31,19 +32,23 @@ _BLOCK = 32
 class Starts:
     """The freedom of each segment's start, as shifts in sigmas.
 
-    sigma (segments, size): scale of a shift. With G the change of the weighted roll-out by the shifts and
-    M = G'G + I: gain (segments, size, 12 steps) is M^-1 G' of a stacked residual, keep (segments, size, size)
-    M^-1 G'G.
+    sigma: scale of a shift. With G the change of the weighted roll-out, 12 rows for each step, by the shifts
+    and M = G'G + I: gain is M^-1 G' of a stacked residual, keep M^-1 G'G.
     """
 
-    sigma: np.ndarray
-    gain: np.ndarray
-    keep: np.ndarray
+    sigma: Annotated[np.ndarray, "segments size"]
+    gain: Annotated[np.ndarray, "segments size rows"]
+    keep: Annotated[np.ndarray, "segments size size"]
 
-    def refine(self, indices: np.ndarray, shift: np.ndarray, residual: np.ndarray) -> np.ndarray:
-        """Return better shifts (b, size) of some segments: least |residual - G ds|^2 + |shift + ds|^2.
+    def refine(
+        self,
+        indices: Annotated[np.ndarray, "chosen"],
+        shift: Annotated[np.ndarray, "chosen size"],
+        residual: Annotated[np.ndarray, "chosen steps 12"],
+    ) -> Annotated[np.ndarray, "chosen size"]:
+        """Return better shifts of some segments: least |residual - G ds|^2 + |shift + ds|^2.
 
-        residual (b, steps, 12): measured - predicted, of roll-outs from the present shift (b, size).
+        residual: measured - predicted, of roll-outs from the present shift.
         """
         flat = residual.reshape(len(indices), -1)
         pulled = np.einsum("bij,bj->bi", self.gain[indices], flat)
@@ -51,9 +56,12 @@ class Starts:
 
 
 def free_starts(
-    engine: Rollouts | LaneRollouts, theta: np.ndarray, segments: Segments, weight: np.ndarray
+    engine: Rollouts | LaneRollouts,
+    theta: Annotated[np.ndarray, "parameters"],
+    segments: Segments,
+    weight: Annotated[np.ndarray, "12"],
 ) -> Starts:
-    """Return the freedom of the starts about the measured ones. `weight` (12,): diagonal L of the loss."""
+    """Return the freedom of the starts about the measured ones. `weight`: diagonal L of the loss."""
     size, sigma = engine.phi.size, start_sigma(engine.phi, segments)
     gain = np.empty((segments.count, size, 12 * segments.steps))
     keep = np.empty((segments.count, size, size))
@@ -71,8 +79,8 @@ def free_starts(
     return Starts(sigma=sigma, gain=gain, keep=keep)
 
 
-def start_sigma(phi: Phi, segments: Segments) -> np.ndarray:
-    """Return the standard deviation (segments, size) of each entry of the starts."""
+def start_sigma(phi: Phi, segments: Segments) -> Annotated[np.ndarray, "segments size"]:
+    """Return the standard deviation of each entry of the starts."""
     sigma = np.ones((segments.count, phi.size))
     sigma[:, 0:12] = segments.sigma
     sigma[:, 12:16] = _THRUST_SIGMA

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -42,31 +43,34 @@ class Settings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Trained:
-    """The network of least validation loss, and the losses of training and validation by epoch."""
+    """The network of least validation loss, and the losses of training and validation by epoch.
+
+    Validation's first loss is that without a residual.
+    """
 
     network: Network
     epochs: int
     best_epoch: int
-    train_loss: np.ndarray
-    validation_loss: np.ndarray
+    train_loss: Annotated[np.ndarray, "epochs"]
+    validation_loss: Annotated[np.ndarray, "checks"]
 
 
 def train(
     phi: Phi,
-    theta: np.ndarray,
+    theta: Annotated[np.ndarray, "parameters"],
     segments: Segments,
     validation: Segments,
     settings: Settings,
     rng: np.random.Generator,
     *,
-    weight: np.ndarray,
+    weight: Annotated[np.ndarray, "12"],
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Trained:
     """Return the residual d(x, xi) for phi with its effects at `theta`, learned from `segments`.
 
     Each mini-batch first moves the starts of its segments to where they fit best, then takes the gradient
     there (starts at their optimum add nothing to it). Training stops early by the loss of `validation`, from
-    its measured starts. weight (12,): diagonal L of the loss.
+    its measured starts. weight: diagonal L of the loss.
     """
     layout = Layout(hidden=settings.hidden)
     batch = min(settings.batch, segments.count)

@@ -13,7 +13,7 @@ bias. Both are therefore passed through the linear equations of the estimator
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -35,18 +35,18 @@ def standing_errors(gains: EstimatorGains, age_s: Any, interval_s: Any) -> tuple
 
 
 def accelerometer_bias(  # noqa: PLR0913 (an equation of many variables)
-    error: np.ndarray,
-    R: np.ndarray,
-    v: np.ndarray,
-    a: np.ndarray,
-    rate: np.ndarray,
+    error: Annotated[np.ndarray, "samples 3"],
+    R: Annotated[np.ndarray, "samples 3 3"],
+    v: Annotated[np.ndarray, "samples 3"],
+    a: Annotated[np.ndarray, "samples 3"],
+    rate: Annotated[np.ndarray, "samples 3"],
     *,
     gains: EstimatorGains,
     age_s: float,
     interval_s: float,
     step_s: float,
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the bias that fits the position errors (n, 3), NED, of the estimate.
+) -> tuple[Annotated[np.ndarray, "3"], Annotated[np.ndarray, "3 2"]]:
+    """Return the bias that fits the position errors, NED, of the estimate.
 
     A tilted frame of the poses causes errors like a bias, and with a constant heading it cannot be told from
     one. The errors that late poses and time stamps cause are fitted too, and left out of the bias.
@@ -54,18 +54,18 @@ def accelerometer_bias(  # noqa: PLR0913 (an equation of many variables)
     Parameters
     ----------
     R
-        (n, 3, 3) R_ned_frd.
+        R_ned_frd.
     v, a, rate
-        (n, 3) NED, NED and FRD, every `step_s`.
+        NED, NED and FRD, every `step_s`.
     age_s, interval_s
         Age of a pose when it is used, and time between poses.
 
     Returns
     -------
     bias
-        (3,), m/s^2 FRD.
+        m/s^2 FRD.
     per_gravity
-        (3, 2) decrease of the bias per m/s^2 of gravity towards north and east in the frame of the poses.
+        Decrease of the bias per m/s^2 of gravity towards north and east in the frame of the poses.
     """
     k_p, k_v, k_q, k_b = (float(gain) for gain in gains)
     # Response of position and velocity to an excess of acceleration, and to a displacement of the poses.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
@@ -78,12 +78,12 @@ def flight_constants(
     mocap_age_s: float = 0.0,
     mocap_interval_s: float = 0.0,
     feedback_delay_s: float = 0.0,
-    accelerometer_bias: Sequence[float] | np.ndarray = (0.0, 0.0, 0.0),
-    bias_per_gravity: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the (16,) constants of a flight, for `Phi`; `block` is form (a) of the feed-forward.
+    accelerometer_bias: Sequence[float] | Annotated[np.ndarray, "3"] = (0.0, 0.0, 0.0),
+    bias_per_gravity: Annotated[np.ndarray, "3 2"] | None = None,
+) -> Annotated[np.ndarray, "16"]:
+    """Return the constants of a flight, for `Phi`; `block` is form (a) of the feed-forward.
 
-    `bias_per_gravity` is (3, 2); by default gravity has no part in the bias.
+    By default gravity has no part in the bias.
     """
     gain, roll, pitch, prediction = (1.0, 0.0, 0.0, 0.0)
     if block is not None:

@@ -12,7 +12,7 @@ import math
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
-from typing import Any, Literal, NamedTuple
+from typing import Annotated, Any, Literal, NamedTuple
 
 import casadi
 import numpy as np
@@ -51,7 +51,7 @@ class Layout:
         """Number of weights."""
         return weight_count(self.hidden, self.sizes[0])
 
-    def initial(self, rng: np.random.Generator) -> np.ndarray:
+    def initial(self, rng: np.random.Generator) -> Annotated[np.ndarray, "weights"]:
         """Return random first weights: normal over the square root of the fan-in, a tenth in the last layer.
 
         Biases are 0. With the small last layer the residual starts near zero, and early roll-outs stay close
@@ -99,8 +99,10 @@ class Layout:
             values = casadi.mtimes(weights, casadi.vertcat(values, ones))
         return casadi.vertcat(*self.acceleration(CASADI, rows, casadi.vertsplit(values)))
 
-    def arrays(self, xi: np.ndarray, state: np.ndarray) -> np.ndarray:
-        """Return accelerations (3, n) for v_ned and Theta (6, n) on numpy."""
+    def arrays(
+        self, xi: Annotated[np.ndarray, "weights"], state: Annotated[np.ndarray, "6 lanes"]
+    ) -> Annotated[np.ndarray, "3 lanes"]:
+        """Return accelerations for v_ned and Theta on numpy."""
         rows = list(state)
         values = np.stack(self.inputs(NUMPY, rows))
         for k, layer in enumerate(self._layers()):
@@ -110,8 +112,13 @@ class Layout:
             values = weights[:, :-1] @ values + weights[:, -1:]
         return np.stack(self.acceleration(NUMPY, rows, list(values)))
 
-    def vjp(self, xi: np.ndarray, state: np.ndarray, costate: np.ndarray) -> np.ndarray:
-        """Return costate' d(acceleration)/dxi (size,), with the acceleration of `arrays`; costate (3, n)."""
+    def vjp(
+        self,
+        xi: Annotated[np.ndarray, "weights"],
+        state: Annotated[np.ndarray, "6 lanes"],
+        costate: Annotated[np.ndarray, "3 lanes"],
+    ) -> Annotated[np.ndarray, "weights"]:
+        """Return costate' d(acceleration)/dxi, with the acceleration of `arrays`."""
         values, layer_inputs = np.stack(self.inputs(NUMPY, list(state))), []
         layers = list(self._layers())
         for k, layer in enumerate(layers):
@@ -130,8 +137,10 @@ class Layout:
                 back = (weights[:, :-1].T @ back) * (1.0 - layer_inputs[k] * layer_inputs[k])
         return gradient
 
-    def layers(self, xi: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Return weights (outputs, inputs) and biases (outputs,) of every layer; the last is linear."""
+    def layers(
+        self, xi: Annotated[np.ndarray, "weights"]
+    ) -> list[tuple[Annotated[np.ndarray, "outputs inputs"], Annotated[np.ndarray, "outputs"]]]:
+        """Return weights and biases of every layer; the last is linear."""
         matrices = [xi[layer.where].reshape(layer.rows, layer.columns) for layer in self._layers()]
         return [(rows[:, :-1], rows[:, -1]) for rows in matrices]
 
@@ -152,10 +161,10 @@ class _Layer(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Network:
-    """A layout with its weights xi, (layout.size,) finite numbers; read-only."""
+    """A layout with its weights xi, `layout.size` finite numbers; read-only."""
 
     layout: Layout
-    xi: np.ndarray
+    xi: Annotated[np.ndarray, "weights"]
 
     def __post_init__(self) -> None:
         xi = np.array(self.xi, dtype=float)
@@ -166,6 +175,8 @@ class Network:
         xi.setflags(write=False)
         object.__setattr__(self, "xi", xi)
 
-    def acceleration_ned(self, v_ned: np.ndarray, theta: np.ndarray) -> np.ndarray:
-        """Return the residual acceleration (3, n), m/s^2 NED, for velocities and Euler angles (3, n)."""
+    def acceleration_ned(
+        self, v_ned: Annotated[np.ndarray, "3 lanes"], theta: Annotated[np.ndarray, "3 lanes"]
+    ) -> Annotated[np.ndarray, "3 lanes"]:
+        """Return the residual acceleration, m/s^2 NED, for velocities and Euler angles."""
         return self.layout.arrays(self.xi, np.concatenate([v_ned, theta]))

@@ -19,7 +19,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import casadi
 import numpy as np
@@ -145,11 +145,11 @@ class Phi:
         return tuple(f"{effect.name}.{key}" for effect in self.effects for key in effect.keys)
 
     @property
-    def theta_neutral(self) -> np.ndarray:
+    def theta_neutral(self) -> Annotated[np.ndarray, "parameters"]:
         """The theta of the nominal vehicle."""
         return np.array([value for effect in self.effects for value in effect.neutral], dtype=float)
 
-    def theta(self, parts: Sequence[Part]) -> np.ndarray:
+    def theta(self, parts: Sequence[Part]) -> Annotated[np.ndarray, "parameters"]:
         """Return theta for these values, neutral elsewhere. Raises ValueError for a missing effect."""
         values = {effect.name: effect.neutral for effect in self.effects}
         for effect, numbers in parts:
@@ -322,13 +322,13 @@ class Phi:
         """Return how many RK4 steps to split `step_s` into: |eigenvalue| times step is at most 1.5."""
         return max(1, math.ceil(self.stiffness * step_s / 1.5))
 
-    def at_rest(self, x: np.ndarray) -> np.ndarray:
+    def at_rest(self, x: Annotated[np.ndarray, "size"]) -> Annotated[np.ndarray, "memory"]:
         """Return the effects' memory after a long rest in state x, at neutral values."""
         parts = self.parts(self.theta_neutral)
         return np.array(memory_at_rest(NUMPY, self.vehicle, parts, list(x[:STATE_SIZE])), dtype=float)
 
-    def hover(self, p_ned: Sequence[float], yaw: float) -> np.ndarray:
-        """Return the state (size,) of the nominal vehicle hovering at p_ned."""
+    def hover(self, p_ned: Sequence[float], yaw: float) -> Annotated[np.ndarray, "size"]:
+        """Return the state of the nominal vehicle hovering at p_ned."""
         x = np.zeros(self.size)
         x[0:3], x[8] = p_ned, yaw
         x[THRUST] = x[self.commands] = self.vehicle.mass_kg * GRAVITY / 4.0

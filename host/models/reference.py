@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -22,8 +22,10 @@ FEEDFORWARD_ROWS = 6
 """Residual acceleration fed forward and its derivative (NED)."""
 
 
-def flat_outputs(reference: Reference, t_s: np.ndarray) -> np.ndarray:
-    """Return p, v, a, j in NED, yaw and yaw rate (14, n) at times (n,) since the reference's start.
+def flat_outputs(
+    reference: Reference, t_s: Annotated[np.ndarray, "times"]
+) -> Annotated[np.ndarray, "14 times"]:
+    """Return p, v, a, j in NED, yaw and yaw rate at times since the reference's start.
 
     Before the start and after the end, the end nodes apply.
     """
@@ -31,8 +33,10 @@ def flat_outputs(reference: Reference, t_s: np.ndarray) -> np.ndarray:
     return np.ascontiguousarray(reference_at(reference, t_us).T)
 
 
-def feedforward_rows(flat: np.ndarray, feedforward: FeedForward | None) -> np.ndarray:
-    """Return the residual acceleration fed forward along flat outputs (14, n), and its derivative: (6, n).
+def feedforward_rows(
+    flat: Annotated[np.ndarray, "14 times"], feedforward: FeedForward | None
+) -> Annotated[np.ndarray, "6 times"]:
+    """Return the residual acceleration fed forward along flat outputs, and its derivative.
 
     The network's share has no derivative, as on board.
     """

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -26,8 +27,8 @@ class Region:
             raise ValueError(f"thrust range {self.thrust_min_n}..{self.thrust_max_n} N is empty")
 
     @classmethod
-    def of(cls, x: np.ndarray, thrust: np.ndarray) -> Region:
-        """Return the region of states x (n, 12 or more) with collective thrusts (n,), N."""
+    def of(cls, x: Annotated[np.ndarray, "samples _"], thrust: Annotated[np.ndarray, "samples"]) -> Region:
+        """Return the region of states, 12 columns or more, with collective thrusts, N."""
         return cls(
             speed_max_m_s=float(_speed(x).max()),
             tilt_max_deg=float(_tilt_deg(x).max()),
@@ -35,8 +36,10 @@ class Region:
             thrust_max_n=float(thrust.max()),
         )
 
-    def outside(self, x: np.ndarray, thrust: np.ndarray) -> np.ndarray:
-        """Return whether states x (n, 12 or more) with collective thrusts (n,), N, are outside: (n,)."""
+    def outside(
+        self, x: Annotated[np.ndarray, "samples _"], thrust: Annotated[np.ndarray, "samples"]
+    ) -> Annotated[np.ndarray, "samples"]:
+        """Return whether states, 12 columns or more, with collective thrusts, N, are outside."""
         return (
             (_speed(x) > self.speed_max_m_s)
             | (_tilt_deg(x) > self.tilt_max_deg)

@@ -6,6 +6,8 @@ finite differences cost little more than one.
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from trimtab.host.models.drive import DRIVE_ROWS, VOLTAGE_AND_TIME
@@ -16,19 +18,19 @@ from trimtab.host.models.reference import FLAT_ROWS, feedforward_rows, flat_outp
 from trimtab.protocol.blobs import FeedForward, Reference
 
 
-def half_steps(start_s: float, steps: int, step_s: float) -> np.ndarray:
-    """Return the times (2 steps + 1,) of the stages of RK4: start, middle and end of every step."""
+def half_steps(start_s: float, steps: int, step_s: float) -> Annotated[np.ndarray, "stages"]:
+    """Return the 2 steps + 1 times of the stages of RK4: start, middle and end of every step."""
     return start_s + 0.5 * step_s * np.arange(2 * steps + 1)
 
 
 def reference_drive(
     reference: Reference,
-    t_s: np.ndarray,
+    t_s: Annotated[np.ndarray, "times"],
     *,
     feedforward: FeedForward | None = None,
-    voltage_ratio: np.ndarray | float = 1.0,
-) -> np.ndarray:
-    """Return the drive `reference` (n, 22) at times (n,) since the reference's start."""
+    voltage_ratio: Annotated[np.ndarray, "times"] | float = 1.0,
+) -> Annotated[np.ndarray, "times 22"]:
+    """Return the drive `reference` at times since the reference's start."""
     rows = np.empty((DRIVE_ROWS["reference"], len(t_s)))
     rows[:FLAT_ROWS] = flat_outputs(reference, t_s)
     rows[FLAT_ROWS : VOLTAGE_AND_TIME.start] = feedforward_rows(rows[:FLAT_ROWS], feedforward)
@@ -41,26 +43,26 @@ def reference_drive(
 def roll_out(  # noqa: PLR0913 (the data of one problem)
     phi: Phi,
     *,
-    x0: np.ndarray,
+    x0: Annotated[np.ndarray, "size lanes"],
     drive: np.ndarray,
     flight: np.ndarray,
     theta: np.ndarray,
     step_s: float,
     every: int = 1,
-    lane_flight: np.ndarray | None = None,
+    lane_flight: Annotated[np.ndarray, "lanes"] | None = None,
     network: Network | None = None,
-    push: np.ndarray | None = None,
+    push: Annotated[np.ndarray, "stages 3 lanes"] | None = None,
     rows: int = 12,
     compiled: bool = False,
-) -> np.ndarray:
-    """Return the first `rows` states (n, rows, lanes) at the start and after every `every` steps.
+) -> Annotated[np.ndarray, "samples rows lanes"]:
+    """Return the first `rows` states at the start and after every `every` steps.
 
     Parameters
     ----------
     x0
-        (size, lanes).
+        Phi's states at the start.
     drive
-        (2 steps + 1, rows of the drive, flights) at `half_steps`; without the last axis for one flight.
+        (stages, rows of the drive, flights) at `half_steps`; without the last axis for one flight.
     flight
         (16, flights) or (16,), `flight_constants`.
     theta
@@ -68,11 +70,11 @@ def roll_out(  # noqa: PLR0913 (the data of one problem)
     step_s
         Integration step; `phi.substeps` gives how fine it must be.
     lane_flight
-        (lanes,) index of each lane's flight; default: as many flights as lanes, or one.
+        Index of each lane's flight; default: as many flights as lanes, or one.
     network
         Residual d(x) that is added to the acceleration.
     push
-        (2 steps + 1, 3, lanes) acceleration, NED, that is added at `half_steps`.
+        Acceleration, NED, that is added at `half_steps`.
     compiled
         Run phi in C where a compiler works. It is then several times faster, after a quarter of a second for
         a phi that was never compiled on this machine.

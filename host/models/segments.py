@@ -41,7 +41,7 @@ class Segments:
         """Number of steps of a segment."""
         return self.measured.shape[1] - 1
 
-    def take(self, indices: np.ndarray | Sequence[int]) -> Segments:
+    def take(self, indices: Annotated[np.ndarray, "chosen"] | Sequence[int]) -> Segments:
         """Return the segments of these indices, in their order."""
         k = np.asarray(indices, dtype=int)
         return Segments(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,13 +31,12 @@ _LEAST_SIGMA = (2e-4, 3e-3, 1e-3)
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class States:
-    """A flight's tracking phase at t_s (n,), seconds since the reference's start, every `step_s`.
+    """A flight's tracking phase at t_s, seconds since the reference's start, every `step_s`.
 
-    x (n, 12): p, v (NED), Theta, body rate (FRD); sigma (12,) of each. thrust (n, 4): lagged nominal rotor
-    thrusts, N. integral (n, 3): the law's rate integral. voltage_ratio (n,). constants (16,):
-    `flight_constants`. observer (n, 3): the disturbance observed on board, m/s^2, NED; None where none was
-    logged. seen (n,): whether there are poses near the sample; None where there are everywhere. notes: what
-    was left out of the log.
+    x: p, v (NED), Theta, body rate (FRD); sigma: of each. thrust: lagged nominal rotor thrusts, N. integral:
+    the law's rate integral. constants: `flight_constants`. observer: the disturbance observed on board,
+    m/s^2, NED; None where none was logged. seen: whether there are poses near the sample; None where there
+    are everywhere. notes: what was left out of the log.
     """
 
     flight_id: str
@@ -46,19 +46,19 @@ class States:
     feedforward: FeedForward | None
     parameters: Mapping[str, float] | None
     step_s: float
-    t_s: np.ndarray
-    x: np.ndarray
-    sigma: np.ndarray
-    thrust: np.ndarray
-    integral: np.ndarray
-    voltage_ratio: np.ndarray
-    constants: np.ndarray
-    observer: np.ndarray | None = None
-    seen: np.ndarray | None = None
+    t_s: Annotated[np.ndarray, "samples"]
+    x: Annotated[np.ndarray, "samples 12"]
+    sigma: Annotated[np.ndarray, "12"]
+    thrust: Annotated[np.ndarray, "samples 4"]
+    integral: Annotated[np.ndarray, "samples 3"]
+    voltage_ratio: Annotated[np.ndarray, "samples"]
+    constants: Annotated[np.ndarray, "16"]
+    observer: Annotated[np.ndarray, "samples 3"] | None = None
+    seen: Annotated[np.ndarray, "samples"] | None = None
     notes: tuple[str, ...] = ()
 
-    def initial(self, phi: Phi, k: int = 0) -> np.ndarray:
-        """Return phi's state (size,) at sample k.
+    def initial(self, phi: Phi, k: int = 0) -> Annotated[np.ndarray, "size"]:
+        """Return phi's state at sample k.
 
         The estimator's errors are the constant ones that the accelerometer's bias causes.
         """
@@ -197,8 +197,8 @@ def _thrusts(vehicle: Vehicle, control: Control, times_s: np.ndarray) -> np.ndar
     return _interpolated(times_s, edges, thrust)
 
 
-def battery_of(flight: Flight) -> tuple[np.ndarray, np.ndarray]:
-    """Return times (n,) s and battery voltage over full voltage (n,), implausible values left out.
+def battery_of(flight: Flight) -> tuple[Annotated[np.ndarray, "samples"], Annotated[np.ndarray, "samples"]]:
+    """Return times, s, and battery voltage over full voltage, implausible values left out.
 
     Where nothing plausible was logged, return a single 1 at 0 s.
     """

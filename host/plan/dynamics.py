@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Annotated, Any
 
 import casadi as ca
 import numpy as np
@@ -101,7 +101,7 @@ class Dynamics:
         return self.newtons([x[i] for i in range(STATES)])
 
     @property
-    def theta(self) -> Array:
+    def theta(self) -> Annotated[np.ndarray, "values"]:
         """The effects' values, one after the other."""
         return np.array([value for _, values in self.model.parts for value in values], dtype=float)
 
@@ -133,17 +133,17 @@ class Dynamics:
 
     def parameters(
         self,
-        yaw: Array,
+        yaw: Annotated[np.ndarray, "intervals"],
         *,
         smoothing: float = 1.0,
         weights: Weights | None = None,
         limits: Limits | None = None,
-        rest: Array | None = None,
-        tracked_ned: Array | None = None,
-    ) -> Array:
-        """Return the parameters (np, n) of intervals with n headings; values not given are the defaults.
+        rest: Annotated[np.ndarray, "6"] | None = None,
+        tracked_ned: Annotated[np.ndarray, "3 intervals"] | None = None,
+    ) -> Annotated[np.ndarray, "parameters intervals"]:
+        """Return the parameters of intervals with these headings; values not given are the defaults.
 
-        tracked_ned: (3, n) position on the path to track at each interval's start; None for no such rows.
+        tracked_ned: position on the path to track at each interval's start; None for no such rows.
         """
         weights, limits = weights or Weights(), limits or self.vehicle.limits
         shared = [smoothing, weights.control, weights.thrust_rate, weights.yaw, weights.time]
@@ -181,8 +181,8 @@ class Dynamics:
         yaw: float,
         v_ned: Sequence[float] = (0.0, 0.0, 0.0),
         p_ned: Sequence[float] = (0.0, 0.0, 0.0),
-    ) -> Array:
-        """Return the state (16,), in the planner's units, of steady flight at p_ned (m) and v_ned (m/s).
+    ) -> Annotated[np.ndarray, "16"]:
+        """Return the state, in the planner's units, of steady flight at p_ned (m) and v_ned (m/s).
 
         Newton's method on attitude and thrusts, with slopes by differences. The state differs from level
         hover only with augmented dynamics. Raises ValueError where the model has no such state.

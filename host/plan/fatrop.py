@@ -15,6 +15,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -54,9 +55,9 @@ _OBJECTIVE, _GRADIENT, _ROWS, _JACOBIAN, _HESSIAN = range(5)
 
 @dataclass(frozen=True, kw_only=True)
 class ChainResult:
-    """The point at which Fatrop stopped. w: (width,); status: SOLVED, ACCEPTABLE or OTHER."""
+    """The point at which Fatrop stopped. status: SOLVED, ACCEPTABLE or OTHER."""
 
-    w: Array
+    w: Annotated[np.ndarray, "unknowns"]
     status: SolveStatus
     iterations: int
 

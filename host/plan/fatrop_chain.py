@@ -5,7 +5,7 @@ from __future__ import annotations
 import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,16 +42,19 @@ class _Chain(ctypes.Structure):
 
 @dataclass(frozen=True, kw_only=True)
 class Values:
-    """Arrays that Fatrop and the assembly exchange numbers in: the point, and what is computed there."""
+    """Arrays that Fatrop and the assembly exchange numbers in: the point, and what is computed there.
 
-    w: Array
-    objective: Array
-    gradient: Array
-    rows: Array
-    jacobian: Array
-    hessian: Array
-    lam: Array
-    sigma: Array
+    jacobian, hessian: nonzeros in the order of the assembly's `slopes` and `upper`.
+    """
+
+    w: Annotated[np.ndarray, "unknowns"]
+    objective: Annotated[np.ndarray, "1"]
+    gradient: Annotated[np.ndarray, "unknowns"]
+    rows: Annotated[np.ndarray, "rows"]
+    jacobian: Annotated[np.ndarray, "slopes"]
+    hessian: Annotated[np.ndarray, "upper"]
+    lam: Annotated[np.ndarray, "rows"]
+    sigma: Annotated[np.ndarray, "1"]
 
     @classmethod
     def of(cls, assembly: Assembly) -> Values:

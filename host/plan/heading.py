@@ -6,7 +6,6 @@ from collections.abc import Sequence
 from itertools import pairwise
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients
 from trimtab.firmware_model.law.rotations import euler_rates
@@ -18,8 +17,6 @@ from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.problem import Solution
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import YawNode
-
-Array = NDArray[np.float64]
 
 SPACING_US = 50_000
 """Least distance of yaw nodes; for closer ones float32 spoils the yaw acceleration."""

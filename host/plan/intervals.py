@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import ctypes
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Annotated, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,17 +26,17 @@ Index = NDArray[np.int64]
 class Output:
     """Results of one kind.
 
-    flat: the numbers. at: (N, entries) place of each in `flat`. rows, columns: (entries,) its row and column
-    in the interval's matrix or vector.
+    flat: the numbers. at: place of each in `flat`. rows, columns: its row and column in the interval's matrix
+    or vector.
     """
 
-    flat: Array
-    at: Index
-    rows: Index
-    columns: Index
+    flat: Annotated[np.ndarray, "numbers"]
+    at: Annotated[Index, "intervals entries"]
+    rows: Annotated[Index, "entries"]
+    columns: Annotated[Index, "entries"]
 
-    def dense(self, height: int, width: int = 1) -> Array:
-        """Return the results (N, height, width) as a copy."""
+    def dense(self, height: int, width: int = 1) -> Annotated[np.ndarray, "intervals height width"]:
+        """Return the results as matrices, a copy."""
         out = np.zeros((len(self.at), height, width))
         out[:, self.rows, self.columns] = self.flat[self.at]
         return out
@@ -56,8 +56,13 @@ class Intervals(Protocol):
     path_slope: Output
     hessian: Output
 
-    def set(self, x: Array, u: Array, h: Array) -> None:
-        """Set the point: x (N, nx), u (N, nu), h (N,)."""
+    def set(
+        self,
+        x: Annotated[np.ndarray, "intervals states"],
+        u: Annotated[np.ndarray, "intervals inputs"],
+        h: Annotated[np.ndarray, "intervals"],
+    ) -> None:
+        """Set the point."""
         ...
 
     def values(self) -> None:
@@ -72,8 +77,13 @@ class Intervals(Protocol):
         """Compute cost_slope alone."""
         ...
 
-    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
-        """Compute the Hessian of sigma cost + lam_x' x_next + lam_path' path; (N, nx) and (N, rows)."""
+    def bend(
+        self,
+        sigma: float,
+        lam_x: Annotated[np.ndarray, "intervals states"],
+        lam_path: Annotated[np.ndarray, "intervals rows"],
+    ) -> None:
+        """Compute the Hessian of sigma cost + lam_x' x_next + lam_path' path."""
         ...
 
 
@@ -94,8 +104,12 @@ class Engine:
         """Whether it runs in C."""
         return isinstance(self._made, Kernel)
 
-    def over(self, h0_s: Array, parameters: Array) -> Intervals:
-        """Return N intervals with these nominal steps (N,) and parameters (np, N)."""
+    def over(
+        self,
+        h0_s: Annotated[np.ndarray, "intervals"],
+        parameters: Annotated[np.ndarray, "parameters intervals"],
+    ) -> Intervals:
+        """Return intervals with these nominal steps and parameters."""
         if isinstance(self._made, Kernel):
             return _Lanes(self.model, self._made, h0_s, parameters)
         return _Machine(self.model, self._made, h0_s, parameters)
@@ -151,7 +165,12 @@ class _Lanes:
         """Return (groups, columns, LANES) of (N, columns)."""
         return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
 
-    def set(self, x: Array, u: Array, h: Array) -> None:
+    def set(
+        self,
+        x: Annotated[np.ndarray, "intervals states"],
+        u: Annotated[np.ndarray, "intervals inputs"],
+        h: Annotated[np.ndarray, "intervals"],
+    ) -> None:
         nx, nu = self._nx, self._nu
         self._z[:, :nx] = self._in_lanes(x)
         self._z[:, nx : nx + nu] = self._in_lanes(u)
@@ -170,7 +189,12 @@ class _Lanes:
         outputs = (self.x_slope.flat, self.cost_slope.flat, self.path_slope.flat)
         self._call(self._kernel.slopes, ctypes.c_long(dynamics), self._z, *outputs)
 
-    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
+    def bend(
+        self,
+        sigma: float,
+        lam_x: Annotated[np.ndarray, "intervals states"],
+        lam_path: Annotated[np.ndarray, "intervals rows"],
+    ) -> None:
         self._sigma[:] = sigma
         self._lam_x[:] = self._in_lanes(lam_x)
         self._lam_path[:] = self._in_lanes(lam_path)
@@ -218,7 +242,12 @@ class _Machine:
         at = np.arange(self._count)[:, None] * len(rows) + np.arange(len(rows))
         return Output(flat=flat, at=at, rows=np.array(rows, dtype=int), columns=np.array(columns, dtype=int))
 
-    def set(self, x: Array, u: Array, h: Array) -> None:
+    def set(
+        self,
+        x: Annotated[np.ndarray, "intervals states"],
+        u: Annotated[np.ndarray, "intervals inputs"],
+        h: Annotated[np.ndarray, "intervals"],
+    ) -> None:
         for function in self._functions.values():
             function.inputs["x"][:] = x
             function.inputs["u"][:] = u
@@ -234,7 +263,12 @@ class _Machine:
     def gradient(self) -> None:
         self._functions["gradient"]()
 
-    def bend(self, sigma: float, lam_x: Array, lam_path: Array) -> None:
+    def bend(
+        self,
+        sigma: float,
+        lam_x: Annotated[np.ndarray, "intervals states"],
+        lam_path: Annotated[np.ndarray, "intervals rows"],
+    ) -> None:
         inputs = self._functions["hessian"].inputs
         inputs["sigma"][:] = sigma
         inputs["lam_x"][:] = lam_x

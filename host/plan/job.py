@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.plan.dynamics import Dynamics
@@ -16,8 +16,6 @@ from trimtab.host.plan.table import Table, snap_table
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import BLOB_BYTES_MAX, YawNode
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,18 +49,18 @@ class Job:
         return label(self.kind, self.dynamics.augmented)
 
     @property
-    def waypoints_ned(self) -> Array:
-        """Waypoints (K, 3)."""
+    def waypoints_ned(self) -> Annotated[np.ndarray, "waypoints 3"]:
+        """Waypoints, m."""
         return np.array(self.route.waypoints_m)
 
-    def durations(self) -> Array:
-        """Return the route's durations (legs,), or those of least snap."""
+    def durations(self) -> Annotated[np.ndarray, "legs"]:
+        """Return the route's durations, or those of least snap."""
         if self.route.times_s is not None:
             return np.diff(np.array(self.route.times_s))
         route = self.route
         return optimise_durations(self.waypoints_ned, route.duration_s, route.end_velocities_ned)
 
-    def snap(self, durations_s: Array) -> Table:
+    def snap(self, durations_s: Annotated[np.ndarray, "legs"]) -> Table:
         """Return the min-snap table with these leg times."""
         return snap_table(self.waypoints_ned, durations_s, self.route.end_velocities_ned)
 
@@ -77,20 +75,24 @@ class Job:
         """Greatest rate of a free heading; None where the heading is given, and for min-snap."""
         return None if self.kind == "min-snap" else self.route.yaw.rate_max_rad_s
 
-    def passed(self, p_ned: Array) -> Array:
-        """Return where a path must pass exactly (K, 3), if it solves the waypoints at p_ned (K, 3)."""
+    def passed(self, p_ned: Annotated[np.ndarray, "waypoints 3"]) -> Annotated[np.ndarray, "waypoints 3"]:
+        """Return where a path must pass exactly, if it solves the waypoints at p_ned."""
         out = self.waypoints_ned
         for gate in self.route.gates or ():
             out[gate.waypoint] = gate.nearest(p_ned[gate.waypoint], out[gate.waypoint])
         return out
 
-    def judge(self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Array) -> Judged:
+    def judge(
+        self, table: Table, yaws: tuple[YawNode, ...], waypoint_times_s: Annotated[np.ndarray, "waypoints"]
+    ) -> Judged:
         """Return the verdict on a table."""
         route, gates = self.route, passings(self.route, waypoint_times_s)
         vehicle, yaw_rate = self.dynamics.vehicle, self.yaw_rate_max_rad_s
         return judge(table, yaws, vehicle, self.limits, route.keep_out, gates, yaw_rate)
 
-    def finish(self, judged: Judged, waypoint_times_s: Array, effort: Effort) -> Plan:
+    def finish(
+        self, judged: Judged, waypoint_times_s: Annotated[np.ndarray, "waypoints"], effort: Effort
+    ) -> Plan:
         """Return the plan. Raises UsageError where the vehicle has no room for its reference."""
         size = len(judged.reference.to_bytes())
         if size > BLOB_BYTES_MAX:

@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
@@ -137,8 +138,8 @@ def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
     return least, where
 
 
-def inside_gates(table: Table, gates: Sequence[Passing]) -> NDArray[np.float64]:
-    """Return the distances (gates,) inside each gate's edge when it is passed, m; negative outside."""
+def inside_gates(table: Table, gates: Sequence[Passing]) -> Annotated[np.ndarray, "gates"]:
+    """Return the distances inside each gate's edge when it is passed, m; negative outside."""
     p = evaluate(table, np.array([passing.t_us for passing in gates], dtype=np.int64))[0].T
     inside = [passing.gate.inside_m(at, passing.centre_ned) for passing, at in zip(gates, p, strict=True)]
     return np.array(inside)

@@ -13,6 +13,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
@@ -30,12 +31,12 @@ _SOURCE = Path(__file__).parent / "kernel.c"
 class Pattern:
     """Masks of the entries that may differ from zero.
 
-    x_slope (nx, nz), path_slope (rows, nx + nu), hessian (nz, nz), upper triangle; z = (x, u, h).
+    x_slope and hessian, an upper triangle, are by z = (x, u, h), path_slope by xu = (x, u).
     """
 
-    x_slope: np.ndarray
-    path_slope: np.ndarray
-    hessian: np.ndarray
+    x_slope: Annotated[np.ndarray, "states z"]
+    path_slope: Annotated[np.ndarray, "rows xu"]
+    hessian: Annotated[np.ndarray, "z z"]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +50,7 @@ class Kernel:
     slopes: Callable[..., None]
     hessians: Callable[..., None]
     pattern: Pattern
-    path_slope: tuple[np.ndarray, np.ndarray]
+    path_slope: tuple[Annotated[np.ndarray, "entries"], Annotated[np.ndarray, "entries"]]
     rows: int
 
 

@@ -3,29 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
 import casadi as ca
 import numpy as np
-from numpy.typing import NDArray
 
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.route.shapes import Shape
-
-Array = NDArray[np.float64]
 
 GATE_ROWS = 4
 """Rows of a gate: its coordinates q of the position, as `Gate.frame` has them, and q'q."""
 
 
 class Places:
-    """Rows of N points, their slopes, and the Hessian of a weighted sum.
+    """Rows of points, their slopes, and the Hessian of a weighted sum.
 
-    gates: (12, N) frame and centre at each node, or None. Their rows come first, then the signed distances to
+    gates: frame and centre at each point, or None. Their rows come first, then the signed distances to
     the shapes. Both are small and differ from problem to problem: CasADi's virtual machine evaluates them.
     """
 
-    def __init__(self, gates: Array | None, shapes: Sequence[Shape], count: int) -> None:
+    def __init__(
+        self, gates: Annotated[np.ndarray, "12 points"] | None, shapes: Sequence[Shape], count: int
+    ) -> None:
         p, gate = ca.SX.sym("p", 3), ca.SX.sym("gate", 12)
         rows = []
         if gates is not None:
@@ -49,23 +49,25 @@ class Places:
             for function in (self._first, self._second):
                 function.inputs["gate"][:] = gates.T
 
-    def first(self, p: Array) -> None:
-        """Compute `value` and `slope` at p (N, 3)."""
+    def first(self, p: Annotated[np.ndarray, "points 3"]) -> None:
+        """Compute `value` and `slope` at p."""
         self._first.inputs["p"][:] = p
         self._first()
 
     @property
-    def value(self) -> Array:
-        """Values (N, rows) at the points of the last `first`."""
+    def value(self) -> Annotated[np.ndarray, "points rows"]:
+        """Values at the points of the last `first`."""
         return self._first.outputs["value"]
 
     @property
-    def slope(self) -> Array:
-        """Slopes (N, rows, 3) at the points of the last `first`."""
+    def slope(self) -> Annotated[np.ndarray, "points rows 3"]:
+        """Slopes at the points of the last `first`."""
         return self._first.outputs["slope"].reshape(-1, self.rows, 3)
 
-    def second(self, p: Array, lam: Array) -> Array:
-        """Return the Hessians (N, 3, 3) of lam' rows; lam (N, rows)."""
+    def second(
+        self, p: Annotated[np.ndarray, "points 3"], lam: Annotated[np.ndarray, "points rows"]
+    ) -> Annotated[np.ndarray, "points 3 3"]:
+        """Return the Hessians of lam' rows."""
         self._second.inputs["p"][:] = p
         self._second.inputs["lam"][:] = lam
         self._second()

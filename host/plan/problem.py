@@ -4,46 +4,43 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from enum import Enum
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-
-Array = NDArray[np.float64]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
     """Multipliers of the bounds on the unknowns and of the constraint rows, at a solution."""
 
-    bounds: Array
-    rows: Array
+    bounds: Annotated[np.ndarray, "unknowns"]
+    rows: Annotated[np.ndarray, "rows"]
 
 
 @dataclass(frozen=True, kw_only=True)
 class Problem:
     """Bounds and a start for the unknowns of N intervals. Infinite bounds mean none; equal ones fix a value.
 
-    leg_of: (N,) leg of each interval, ascending from 0. h0_s: (N,) nominal steps. parameters: (np, N).
-    x_bounds: two of (nx, N + 1); u_bounds: two of (nu, N); path_bounds: two of (rows, N); h_bounds: low,
-    high, in units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: low, high of the whole
-    time; equal ones pin it. x_start: (nx, N + 1); u_start: (nu, N); h_start: (legs,). gates: (12, N)
-    frame, row by row, and centre of the gate at each node; None without any. Their rows follow the vehicle's
-    path rows (`trimtab.host.plan.places`). near: the start is near the solution; multipliers: those there, if
-    known.
+    leg_of: leg of each interval, ascending from 0. h0_s: nominal steps. Bounds are low, high. h_bounds: in
+    units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: of the whole time; equal ones
+    pin it. gates: frame, row by row, and centre of the gate at each interval's first node; None without any.
+    Their rows follow the vehicle's path rows (`trimtab.host.plan.places`). near: the start is near the
+    solution; multipliers: those there, if known.
     """
 
-    leg_of: NDArray[np.int64]
-    h0_s: Array
-    parameters: Array
-    x_bounds: tuple[Array, Array]
-    u_bounds: tuple[Array, Array]
-    path_bounds: tuple[Array, Array]
+    leg_of: Annotated[NDArray[np.int64], "intervals"]
+    h0_s: Annotated[np.ndarray, "intervals"]
+    parameters: Annotated[np.ndarray, "parameters intervals"]
+    x_bounds: tuple[Annotated[np.ndarray, "states nodes"], Annotated[np.ndarray, "states nodes"]]
+    u_bounds: tuple[Annotated[np.ndarray, "inputs intervals"], Annotated[np.ndarray, "inputs intervals"]]
+    path_bounds: tuple[Annotated[np.ndarray, "rows intervals"], Annotated[np.ndarray, "rows intervals"]]
     h_bounds: tuple[float, float]
     total_bounds_s: tuple[float, float]
-    x_start: Array
-    u_start: Array
-    h_start: Array
-    gates: Array | None = None
+    x_start: Annotated[np.ndarray, "states nodes"]
+    u_start: Annotated[np.ndarray, "inputs intervals"]
+    h_start: Annotated[np.ndarray, "legs"]
+    gates: Annotated[np.ndarray, "12 intervals"] | None = None
     near: bool = False
     multipliers: Multipliers | None = None
 
@@ -108,17 +105,17 @@ class SolveStatus(Enum):
 
 @dataclass(frozen=True, kw_only=True)
 class Solution:
-    """The last iterate. x: (nx, N + 1); u: (nu, N); h: (legs,) in units of h0; t_s: (N + 1,) node times.
+    """The last iterate: states x, inputs u, h in units of h0, and the nodes' times t_s.
 
     violation: largest violation of a constraint row. multipliers: None where the solver gives none. solver:
     its name.
     """
 
     status: SolveStatus
-    x: Array
-    u: Array
-    h: Array
-    t_s: Array
+    x: Annotated[np.ndarray, "states nodes"]
+    u: Annotated[np.ndarray, "inputs intervals"]
+    h: Annotated[np.ndarray, "legs"]
+    t_s: Annotated[np.ndarray, "nodes"]
     cost: float
     iterations: int
     solve_s: float

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,57 +18,57 @@ from trimtab.host.route.shapes import Shape
 from trimtab.host.vehicle import Limits, Vehicle
 from trimtab.protocol.blobs import YawNode
 
-Array = NDArray[np.float64]
-
 _SAMPLE_US = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
 class Profile:
-    """n samples along a table.
+    """Samples along a table.
 
-    t_s: (n,). node: (n,) the node before each sample. x: (16, n) as of `flat_states`. jerk_m_s3: (n,) norm.
-    thrust_share: (4, n) of a rotor's greatest thrust. residual: (3 or 6, n) m/s^2 as of
-    `ResidualModel.along`, acceleration NED and torque about the body axes; None without a model that predicts
-    any. outside: (n,) whether the sample is outside the trained region, None where that is not known.
+    node: the node before each sample. x: as of `flat_states`. jerk_m_s3: norm. thrust_share: of a rotor's
+    greatest thrust. residual: 3 or 6 rows, m/s^2, as of `ResidualModel.along`, acceleration NED and torque
+    about the body axes; None without a model that predicts any. outside: whether the sample is outside the
+    trained region, None where that is not known.
     """
 
-    t_s: Array
-    node: NDArray[np.int64]
-    x: Array
-    jerk_m_s3: Array
-    thrust_share: Array
-    residual: Array | None
-    outside: NDArray[np.bool_] | None
+    t_s: Annotated[np.ndarray, "samples"]
+    node: Annotated[NDArray[np.int64], "samples"]
+    x: Annotated[np.ndarray, "16 samples"]
+    jerk_m_s3: Annotated[np.ndarray, "samples"]
+    thrust_share: Annotated[np.ndarray, "4 samples"]
+    residual: Annotated[np.ndarray, "_ samples"] | None
+    outside: Annotated[NDArray[np.bool_], "samples"] | None
 
     @property
-    def p_ned(self) -> Array:
-        """Positions (3, n), m."""
+    def p_ned(self) -> Annotated[np.ndarray, "3 samples"]:
+        """Positions, m."""
         return self.x[P]
 
     @property
-    def speed_m_s(self) -> Array:
-        """Speeds (n,)."""
+    def speed_m_s(self) -> Annotated[np.ndarray, "samples"]:
+        """Speeds."""
         return np.linalg.norm(self.x[V], axis=0)
 
     @property
-    def rate_frd(self) -> Array:
-        """Body rates (3, n), rad/s."""
+    def rate_frd(self) -> Annotated[np.ndarray, "3 samples"]:
+        """Body rates, rad/s."""
         return self.x[RATE]
 
     @property
-    def tilt_deg(self) -> Array:
-        """Angles (n,) of the thrust from vertical."""
+    def tilt_deg(self) -> Annotated[np.ndarray, "samples"]:
+        """Angles of the thrust from vertical."""
         roll, pitch, _ = self.x[THETA]
         return np.degrees(np.arccos(np.clip(np.cos(roll) * np.cos(pitch), -1.0, 1.0)))
 
     @property
-    def residual_m_s2(self) -> Array | None:
-        """Norms (n,) of the residual, torque included."""
+    def residual_m_s2(self) -> Annotated[np.ndarray, "samples"] | None:
+        """Norms of the residual, torque included."""
         return None if self.residual is None else np.linalg.norm(self.residual, axis=0)
 
-    def margins(self, limits: Limits, keep_out: Sequence[Shape] = ()) -> dict[str, Array]:
-        """Return the distances (n,) to each limit, negative beyond it, by the names of `law.checks`."""
+    def margins(
+        self, limits: Limits, keep_out: Sequence[Shape] = ()
+    ) -> dict[str, Annotated[np.ndarray, "samples"]]:
+        """Return the distances to each limit, negative beyond it, by the names of `law.checks`."""
         fence, rates = np.array(limits.geofence_m), np.array(limits.body_rate_max_rad_s)
         low, high = limits.thrust_headroom
         p = self.p_ned
@@ -86,8 +87,8 @@ class Profile:
             margins[KEEP_OUT] = np.min(distances, axis=0)
         return margins
 
-    def margin_shares(self, limits: Limits) -> dict[str, Array]:
-        """Return the distances (n,) to limits other than lengths, as shares: 0 at the limit, 1 far from it.
+    def margin_shares(self, limits: Limits) -> dict[str, Annotated[np.ndarray, "samples"]]:
+        """Return the distances to limits other than lengths, as shares: 0 at the limit, 1 far from it.
 
         thrust: to the nearer of its two limits, as a share of half the range between them.
         """
@@ -108,7 +109,7 @@ def profile(
     model: ResidualModel,
     table: Table,
     yaws: Sequence[YawNode],
-    times_us: Array | None = None,
+    times_us: Annotated[np.ndarray, "samples"] | None = None,
 ) -> Profile:
     """Return the profile of the nominal vehicle at these times, every 10 ms by default."""
     at = sample_times(table) if times_us is None else times_us
@@ -126,13 +127,13 @@ def profile(
     )
 
 
-def sample_times(table: Table) -> Array:
+def sample_times(table: Table) -> Annotated[np.ndarray, "times"]:
     """Return evenly spaced times over the table, us, at most 10 ms apart."""
     end = float(table.times_us[-1])
     return np.linspace(0.0, end, max(2, int(np.ceil(end / _SAMPLE_US)) + 1))
 
 
-def with_nodes(table: Table) -> Array:
+def with_nodes(table: Table) -> Annotated[np.ndarray, "times"]:
     """Return `sample_times`, the nodes' times, and those just before them: thrust may jump at a node."""
     nodes = table.times_us.astype(float)
     return np.unique(np.concatenate([sample_times(table), nodes, nodes[1:] - 1.0]))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,8 +100,10 @@ class ResidualModel:
         arm_m = float(np.mean([np.hypot(*rotor.position_m[:2]) for rotor in vehicle.rotors]))
         return [*d, *(tau / (arm_m * vehicle.mass_kg) for tau in torque or ())]
 
-    def along(self, vehicle: Vehicle, x: Array) -> Array:
-        """Return the residual with the network's at states (16, n), for figures: (3 or 6, n).
+    def along(
+        self, vehicle: Vehicle, x: Annotated[np.ndarray, "16 samples"]
+    ) -> Annotated[np.ndarray, "_ samples"]:
+        """Return the residual with the network's at states, for figures: 3 or 6 rows.
 
         Changes of thrust, mass and torque are relative to hover, where the law's trim compensates them.
         """
@@ -113,8 +115,8 @@ class ResidualModel:
             d[:3] += self.network.acceleration_ned(x[V], x[THETA])
         return d
 
-    def at_rest(self, vehicle: Vehicle, yaw: float) -> Array:
-        """Return the (6,) rows of the residual of the nominal vehicle at rest, which no plan avoids.
+    def at_rest(self, vehicle: Vehicle, yaw: float) -> Annotated[np.ndarray, "6"]:
+        """Return the rows of the residual of the nominal vehicle at rest, which no plan avoids.
 
         The network is included. Forces are taken at the world's origin, loads far from the floor.
         """

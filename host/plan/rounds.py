@@ -14,7 +14,6 @@ from dataclasses import replace
 from enum import IntEnum
 
 import numpy as np
-from numpy.typing import NDArray
 
 from trimtab.host.models.airframe import P
 from trimtab.host.plan.box import SolverBox
@@ -44,8 +43,6 @@ from trimtab.host.plan.shooting import (
 from trimtab.host.plan.solver import solve
 from trimtab.host.plan.table import from_reference
 from trimtab.protocol.blobs import YawNode
-
-Array = NDArray[np.float64]
 
 _YAW_SETTLED = np.radians(2.0)
 """Change of the heading at the nodes, due to changed node times, up to which no further round is needed."""

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
 import numpy as np
@@ -31,16 +31,16 @@ class Peak(NamedTuple):
 
 @dataclass(frozen=True, kw_only=True)
 class Sensitivity:
-    """Greatest singular values of the residual's slopes at the n nodes of a reference, t_s (n,).
+    """Greatest singular values of the residual's slopes at the nodes of a reference.
 
-    velocity: (n,) of d(residual)/d(v_ned), m/s^2 per m/s. attitude: (n,) of d(residual)/d(a small rotation of
-    the vehicle), m/s^2 per rad. Each is the largest change of the residual per unit of a small deviation,
+    velocity: of d(residual)/d(v_ned), m/s^2 per m/s. attitude: of d(residual)/d(a small rotation of the
+    vehicle), m/s^2 per rad. Each is the largest change of the residual per unit of a small deviation,
     with rotor thrusts constant. NaN where an effect has no slope, as a root may have none at rest.
     """
 
-    t_s: Array
-    velocity: Array
-    attitude: Array
+    t_s: Annotated[np.ndarray, "nodes"]
+    velocity: Annotated[np.ndarray, "nodes"]
+    attitude: Annotated[np.ndarray, "nodes"]
 
     def peaks(self) -> tuple[Peak, Peak] | None:
         """Return the greatest of velocity and of attitude; None where an effect has no slope at any node."""

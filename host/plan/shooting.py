@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,22 +48,22 @@ _YAW_SLACK = 0.3
 class Grid:
     """The distribution of intervals over the legs.
 
-    counts: (legs,) intervals of each leg. h0_s: (legs,) nominal step of each. times_fixed: the waypoints'
+    counts: intervals of each leg. h0_s: nominal step of each. times_fixed: the waypoints'
     times are given, and the steps are no unknowns.
     """
 
-    counts: NDArray[np.int64]
-    h0_s: Array
+    counts: Annotated[NDArray[np.int64], "legs"]
+    h0_s: Annotated[np.ndarray, "legs"]
     times_fixed: bool
 
     @property
-    def waypoints(self) -> NDArray[np.int64]:
-        """(legs + 1,) node of each waypoint."""
+    def waypoints(self) -> Annotated[NDArray[np.int64], "waypoints"]:
+        """Node of each waypoint."""
         return np.concatenate([[0], np.cumsum(self.counts)])
 
     @property
-    def leg_of(self) -> NDArray[np.int64]:
-        """(N,) leg of each interval."""
+    def leg_of(self) -> Annotated[NDArray[np.int64], "intervals"]:
+        """Leg of each interval."""
         return np.repeat(np.arange(len(self.counts)), self.counts)
 
     @property
@@ -71,12 +72,12 @@ class Grid:
         return float(self.counts @ self.h0_s) / float(self.counts.sum())
 
     @property
-    def times_s(self) -> Array:
-        """(N + 1,) nominal times of the nodes."""
+    def times_s(self) -> Annotated[np.ndarray, "nodes"]:
+        """Nominal times of the nodes."""
         return np.concatenate([[0.0], np.cumsum(self.h0_s[self.leg_of])])
 
 
-def make_grid(durations_s: Array, nodes: int | None, *, times_fixed: bool) -> Grid:
+def make_grid(durations_s: Annotated[np.ndarray, "legs"], nodes: int | None, *, times_fixed: bool) -> Grid:
     """Return about `nodes` intervals, in proportion to the legs' nominal durations, at least four a leg.
 
     Without `nodes` a step takes about 70 ms, within 60 to 1600 intervals. Beyond 1600, the legs that were
@@ -106,7 +107,7 @@ def coarser(grid: Grid) -> Grid | None:
 
 def on_grid(
     engine: Engine, problem: Problem, solution: Solution, old: Grid, new: Grid
-) -> tuple[Array, Array]:
+) -> tuple[Annotated[np.ndarray, "states nodes"], Annotated[np.ndarray, "inputs intervals"]]:
     """Return states and inputs of a problem's solution at another grid's nodes, leg by leg.
 
     The solution is integrated between its nodes, so it has almost no gaps on the new grid.
@@ -126,7 +127,12 @@ def _share(grid: Grid) -> Array:
     return (np.arange(len(grid.leg_of)) - grid.waypoints[grid.leg_of]) / grid.counts[grid.leg_of]
 
 
-def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Array) -> tuple[Array, Array]:
+def linear_start(
+    dynamics: Dynamics,
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
+    grid: Grid,
+    yaw: Annotated[np.ndarray, "nodes"],
+) -> tuple[Annotated[np.ndarray, "states nodes"], Annotated[np.ndarray, "inputs intervals"]]:
     """Return states at rest on straight lines between waypoints, and inputs (paper section IV-C.3)."""
     count = int(grid.counts.sum())
     steady = dynamics.steady(float(yaw[0]), p_ned=waypoints_ned[0])
@@ -137,7 +143,9 @@ def linear_start(dynamics: Dynamics, waypoints_ned: Array, grid: Grid, yaw: Arra
     return x, np.zeros((INPUTS, count))
 
 
-def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[YawNode]) -> tuple[Array, Array]:
+def table_start(
+    dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[YawNode]
+) -> tuple[Annotated[np.ndarray, "states nodes"], Annotated[np.ndarray, "inputs intervals"]]:
     """Return states and inputs along a table at the grid's nominal times."""
     times_us = np.minimum(grid.times_s * 1e6, table.times_us[-1])
     x = flat_states(dynamics.vehicle, table, yaws, times_us)
@@ -146,37 +154,37 @@ def table_start(dynamics: Dynamics, table: Table, grid: Grid, yaws: Sequence[Yaw
     return x, u
 
 
-def along(table: Table, times_s: Array) -> Array:
-    """Return the positions (3, n) on a table at these times."""
+def along(table: Table, times_s: Annotated[np.ndarray, "times"]) -> Annotated[np.ndarray, "3 times"]:
+    """Return the positions on a table at these times."""
     return evaluate(table, np.minimum(times_s * 1e6, float(table.times_us[-1])))[0]
 
 
 def make_problem(  # noqa: PLR0913 (the data of one problem)
     dynamics: Dynamics,
-    waypoints_ned: Array,
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
     grid: Grid,
     limits: Limits,
     box: SolverBox,
     *,
-    yaw: Array,
+    yaw: Annotated[np.ndarray, "nodes"],
     smoothing: float,
     weights: Weights,
-    unavoidable: Array,
-    start: tuple[Array, Array],
+    unavoidable: Annotated[np.ndarray, "6"],
+    start: tuple[Annotated[np.ndarray, "states nodes"], Annotated[np.ndarray, "inputs intervals"]],
     h_bounds: tuple[float, float],
     total_bounds_s: tuple[float, float],
     end_velocities_ned: Sequence[Sequence[float]],
     gates: Sequence[Gate],
     shapes: int,
     free_yaw: bool = False,
-    tracked_ned: Array | None = None,
+    tracked_ned: Annotated[np.ndarray, "3 nodes"] | None = None,
 ) -> Problem:
     """Return the problem in this box.
 
-    yaw: (N + 1,) requested heading at the nodes; with free_yaw only the first counts, and those at rest at
-    the ends. smoothing: factor on the weight of the thrust rates. unavoidable: (6,) residual that the cost
+    yaw: requested heading at the nodes; with free_yaw only the first counts, and those at rest at
+    the ends. smoothing: factor on the weight of the thrust rates. unavoidable: residual that the cost
     leaves out. end_velocities_ned: at start and end, where nothing accelerates. gates: of the waypoints that
-    need not be met exactly. shapes: number of keep-out shapes. tracked_ned: (3, N + 1) positions to track.
+    need not be met exactly. shapes: number of keep-out shapes. tracked_ned: positions to track.
     """
     count = int(grid.counts.sum())
     low, high = _box_bounds(dynamics, limits, box, yaw)
@@ -274,12 +282,20 @@ def _frames(gates: Sequence[Gate], waypoints_ned: Array, grid: Grid) -> Array:
     return out
 
 
-def yaw_profile(yaws: Sequence[YawNode], times_s: Array) -> Array:
+def yaw_profile(
+    yaws: Sequence[YawNode], times_s: Annotated[np.ndarray, "times"]
+) -> Annotated[np.ndarray, "times"]:
     """Return the requested heading at these times."""
     return yaw_at(yaws, times_s * 1e6)[0]
 
 
-def smooth(engine: Engine, problem: Problem, solution: Solution, grid: Grid, waypoints_ned: Array) -> Table:
+def smooth(
+    engine: Engine,
+    problem: Problem,
+    solution: Solution,
+    grid: Grid,
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
+) -> Table:
     """Return the node table that fits a solution, sampled about as densely as the table's nodes."""
     parts = math.ceil(float(np.diff(solution.t_s).max()) / _DATA_S)
     times_s, x = _within(engine, problem, solution, tuple(k / parts for k in range(parts)))

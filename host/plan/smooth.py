@@ -9,7 +9,7 @@ are the spline itself.
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,18 +26,18 @@ _VELOCITY_S = 0.03  # weight of a velocity error against a position error
 
 
 def fit(
-    times_s: Array,
-    p_ned: Array,
-    v_ned: Array,
-    waypoints: NDArray[np.int64],
-    waypoints_ned: Array,
-    end_velocities_ned: Array,
+    times_s: Annotated[np.ndarray, "nodes"],
+    p_ned: Annotated[np.ndarray, "3 nodes"],
+    v_ned: Annotated[np.ndarray, "3 nodes"],
+    waypoints: Annotated[NDArray[np.int64], "waypoints"],
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
+    end_velocities_ned: Annotated[np.ndarray, "2 3"],
 ) -> Table:
     """Return the node table of the least-squares spline through the nodes.
 
-    times_s: (n,) node times. p_ned, v_ned: (3, n). waypoints: index of each waypoint among the nodes, the
-    first 0, the last n - 1. waypoints_ned: (K, 3). end_velocities_ned: (2, 3). Acceleration and jerk are 0 at
-    both ends. No leg has more pieces than intervals.
+    times_s: of the nodes. waypoints: index of each waypoint among the nodes; the first and the last node are
+    waypoints. end_velocities_ned: at the start and at the end. Acceleration and jerk are 0 at both ends. No
+    leg has more pieces than intervals.
     """
     waypoint_times = round_times(times_s[waypoints])
     step_s = float(times_s[-1]) / (len(times_s) - 1)

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from fractions import Fraction
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -87,11 +88,11 @@ _POWERS = np.array([0, 1, 2, 3, 0, 1, 2, 3])
 class SnapSpline:
     """Waypoint times, the end values of the septics between them, and the integral of the squared snap.
 
-    times_s: (K,); ends_ned: (K, 4, 3) position, velocity, acceleration, jerk; cost in m^2/s^7.
+    ends_ned: position, velocity, acceleration, jerk; cost in m^2/s^7.
     """
 
-    times_s: Array
-    ends_ned: Array
+    times_s: Annotated[np.ndarray, "waypoints"]
+    ends_ned: Annotated[np.ndarray, "waypoints 4 3"]
     cost: float
 
 
@@ -109,12 +110,16 @@ def _checked(waypoints_ned: Array, durations_s: Array) -> tuple[Array, Array]:
     return waypoints, durations
 
 
-def solve_snap(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> SnapSpline:
+def solve_snap(
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
+    durations_s: Annotated[np.ndarray, "legs"],
+    end_velocities_ned: ArrayLike = REST,
+) -> SnapSpline:
     """Return the minimum-snap spline through the waypoints, with a = j = 0 at both ends.
 
-    waypoints_ned: (K >= 2, 3) m. durations_s: (K - 1,). end_velocities_ned: (2, 3) m/s at start and end, at
-    rest by default. Raises ValueError for wrong shapes, non-finite values and durations that are not
-    positive. Source: Mellinger and Kumar, ICRA 2011; Bry et al., IJRR 2015.
+    waypoints_ned: two or more, m. end_velocities_ned: (2, 3) m/s at start and end, at rest by default. Raises
+    ValueError for wrong shapes, non-finite values and durations that are not positive. Source: Mellinger and
+    Kumar, ICRA 2011; Bry et al., IJRR 2015.
     """
     waypoints, durations = _checked(waypoints_ned, durations_s)
     unit_s = float(durations.mean())
@@ -165,8 +170,8 @@ def _inner_derivatives(blocks: Array, ends: Array) -> Array:
     return (solution * weight[:, None]).reshape(inner, 3, 3)
 
 
-def cost_gradient(spline: SnapSpline) -> Array:
-    """Return the derivative (K - 1,) of the optimal cost by each leg's duration.
+def cost_gradient(spline: SnapSpline) -> Annotated[np.ndarray, "legs"]:
+    """Return the derivative of the optimal cost by each leg's duration.
 
     By the envelope theorem the end values may be constant: only the cost matrix of the leg changes.
     """
@@ -180,8 +185,10 @@ def cost_gradient(spline: SnapSpline) -> Array:
     return -7.0 * cost / durations**8 + 2.0 * change / durations**7
 
 
-def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
-    """Return durations (K - 1,) in proportion to length, with extra time to start and to stop.
+def heuristic_durations(
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"], total_s: float
+) -> Annotated[np.ndarray, "legs"]:
+    """Return durations in proportion to length, with extra time to start and to stop.
 
     A tenth of the mean leg is added to every length, so that legs between equal waypoints get time too.
     """
@@ -195,13 +202,13 @@ def heuristic_durations(waypoints_ned: Array, total_s: float) -> Array:
 
 
 def optimise_durations(
-    waypoints_ned: Array,
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
     total_s: float,
     end_velocities_ned: ArrayLike = REST,
     *,
     iterations: int = 100,
-) -> Array:
-    """Return the durations (K - 1,) of the given sum that minimise the snap cost.
+) -> Annotated[np.ndarray, "legs"]:
+    """Return the durations of the given sum that minimise the snap cost.
 
     L-BFGS-B on the logarithm of the cost over the logarithms of the shares, with the exact gradient, from the
     heuristic durations. A share changes by at most a factor of three. Deterministic.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -32,10 +32,10 @@ _ORIGIN_STEP_M = 0.1
 
 @dataclass(frozen=True, kw_only=True)
 class Table:
-    """Nodes of a reference. times_us: (n,); states_ned: (n, 12) p, v, a, j."""
+    """Nodes of a reference. states_ned: p, v, a, j."""
 
-    times_us: Times
-    states_ned: Array
+    times_us: Annotated[Times, "nodes"]
+    states_ned: Annotated[np.ndarray, "nodes 12"]
 
     def __post_init__(self) -> None:
         if self.states_ned.shape != (len(self.times_us), 12):
@@ -44,7 +44,11 @@ class Table:
             )
 
 
-def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Times | None = None) -> Times:
+def knot_times(
+    waypoint_times_us: Annotated[Times, "waypoints"],
+    spacing_s: float = SPACING_S,
+    most: Annotated[Times, "legs"] | None = None,
+) -> Annotated[Times, "nodes"]:
     """Return times, us, about `spacing_s` apart, among them the time of every waypoint.
 
     Each leg is divided evenly into at least one piece and at most `most` pieces. No piece is shorter than
@@ -58,7 +62,7 @@ def knot_times(waypoint_times_us: Times, spacing_s: float = SPACING_S, most: Tim
     return np.rint(np.concatenate([*pieces, waypoint_times_us[-1:]])).astype(np.int64)
 
 
-def round_times(times_s: Array) -> Times:
+def round_times(times_s: Annotated[np.ndarray, "times"]) -> Annotated[Times, "times"]:
     """Whole microseconds. Raises ValueError where two of them fall together."""
     times = np.rint(np.asarray(times_s) * 1e6).astype(np.int64)
     if not (np.diff(times) > 0).all():
@@ -66,7 +70,11 @@ def round_times(times_s: Array) -> Times:
     return times
 
 
-def snap_table(waypoints_ned: Array, durations_s: Array, end_velocities_ned: ArrayLike = REST) -> Table:
+def snap_table(
+    waypoints_ned: Annotated[np.ndarray, "waypoints 3"],
+    durations_s: Annotated[np.ndarray, "legs"],
+    end_velocities_ned: ArrayLike = REST,
+) -> Table:
     """Return the minimum-snap spline as a table, with waypoint times rounded to microseconds."""
     waypoint_times = round_times(np.concatenate([[0.0], np.cumsum(durations_s)]))
     spline = solve_snap(waypoints_ned, np.diff(waypoint_times) * 1e-6, end_velocities_ned)
@@ -82,8 +90,16 @@ def _rows(spline: SnapSpline) -> Array:
     return spline.ends_ned.reshape(len(spline.times_s), 12)
 
 
-def evaluate(table: Table, times_us: Array | Times) -> tuple[Array, Array, Array, Array, Array]:
-    """Return position, velocity, acceleration, jerk and snap, (3, m) each, at times within the table."""
+def evaluate(
+    table: Table, times_us: Annotated[np.ndarray, "times"]
+) -> tuple[
+    Annotated[np.ndarray, "3 times"],
+    Annotated[np.ndarray, "3 times"],
+    Annotated[np.ndarray, "3 times"],
+    Annotated[np.ndarray, "3 times"],
+    Annotated[np.ndarray, "3 times"],
+]:
+    """Return position, velocity, acceleration, jerk and snap at times within the table."""
     at = np.asarray(times_us, dtype=float)
     piece = np.clip(np.searchsorted(table.times_us, at, side="right") - 1, 0, len(table.times_us) - 2)
     start = table.times_us[piece]
@@ -94,8 +110,10 @@ def evaluate(table: Table, times_us: Array | Times) -> tuple[Array, Array, Array
     return p, v, a, j, snap
 
 
-def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Array]:
-    """Return yaw and yaw rate, (m,) each; yaw is constant before the first and after the last node."""
+def yaw_at(
+    yaws: Sequence[YawNode], times_us: Annotated[np.ndarray, "times"]
+) -> tuple[Annotated[np.ndarray, "times"], Annotated[np.ndarray, "times"]]:
+    """Return yaw and yaw rate; yaw is constant before the first and after the last node."""
     at = np.asarray(times_us, dtype=float)
     if len(yaws) == 1:
         return np.full(at.shape, yaws[0].yaw), np.zeros(at.shape)
@@ -109,8 +127,10 @@ def yaw_at(yaws: Sequence[YawNode], times_us: Array | Times) -> tuple[Array, Arr
     return value, np.where((at < times[0]) | (at > times[-1]), 0.0, slope)
 
 
-def yaw_acceleration_at(yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
-    """Return the yaw acceleration (m,), rad/s^2; at a yaw node that of the following piece."""
+def yaw_acceleration_at(
+    yaws: Sequence[YawNode], times_us: Annotated[np.ndarray, "times"]
+) -> Annotated[np.ndarray, "times"]:
+    """Return the yaw acceleration, rad/s^2; at a yaw node that of the following piece."""
     at = np.asarray(times_us, dtype=float)
     if len(yaws) == 1:
         return np.zeros(at.shape)
@@ -122,8 +142,10 @@ def yaw_acceleration_at(yaws: Sequence[YawNode], times_us: Array | Times) -> Arr
     return np.where((at < times[0]) | (at > times[-1]), 0.0, bend)
 
 
-def flat_states(vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Array | Times) -> Array:
-    """Return p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) (16, m) of the nominal vehicle on this path."""
+def flat_states(
+    vehicle: Vehicle, table: Table, yaws: Sequence[YawNode], times_us: Annotated[np.ndarray, "times"]
+) -> Annotated[np.ndarray, "16 times"]:
+    """Return p_ned, v_ned, Theta, rate_frd, rotor thrusts (N) of the nominal vehicle on this path."""
     p, v, a, j, snap = evaluate(table, times_us)
     yaw, yaw_rate = yaw_at(yaws, times_us)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)

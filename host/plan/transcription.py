@@ -10,6 +10,7 @@ bounded, the elapsed time is a state too. Values that bounds fix become rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
@@ -189,7 +190,9 @@ class Assembly:
         self._hessian_to, *self._hessian_places_to = (self.upper.find(*part) for part in parts)
 
     @property
-    def whole_hessian(self) -> tuple[tuple[Index, Index], Index]:
+    def whole_hessian(
+        self,
+    ) -> tuple[tuple[Annotated[Index, "entries"], Annotated[Index, "entries"]], Annotated[Index, "entries"]]:
         """Rows and columns of the Hessian with both triangles, and the entry of the upper one for each."""
         rows, columns, entry = self.upper.rows, self.upper.columns, np.arange(self.upper.count)
         below = rows != columns
@@ -218,15 +221,15 @@ class Assembly:
         self._need("places", lambda: places.first(p))
         return places.value, places.slope
 
-    def objective(self, w: Array) -> float:
+    def objective(self, w: Annotated[np.ndarray, "unknowns"]) -> float:
         """Return the cost."""
         self._set(w)
         self._need("values", self._intervals.values)
         cost = self._intervals.cost
         return float(cost.flat[cost.at].sum())
 
-    def gradient(self, w: Array) -> Array:
-        """Return the slope (width,) of the cost."""
+    def gradient(self, w: Annotated[np.ndarray, "unknowns"]) -> Annotated[np.ndarray, "unknowns"]:
+        """Return the slope of the cost."""
         self._set(w)
         if "slopes" not in self._computed:
             self._need("gradient", self._intervals.gradient)
@@ -234,8 +237,8 @@ class Assembly:
         out[self._gradient_to] = self._intervals.cost_slope.flat[self._gradient_from]
         return out
 
-    def rows(self, w: Array) -> Array:
-        """Return the constraint rows (height,)."""
+    def rows(self, w: Annotated[np.ndarray, "unknowns"]) -> Annotated[np.ndarray, "rows"]:
+        """Return the constraint rows."""
         self._set(w)
         self._need("values", self._intervals.values)
         out = np.zeros(self.height)
@@ -258,13 +261,13 @@ class Assembly:
             out[self._t_row[k]] = w[self._t_at[k + 1]] - before - change
         return out
 
-    def violation(self, w: Array) -> float:
+    def violation(self, w: Annotated[np.ndarray, "unknowns"]) -> float:
         """Return the largest violation of a row's bounds; infinity where a row is not finite."""
         rows = self.rows(w)
         missed = float(np.maximum(self.g_low - rows, rows - self.g_high).max())
         return max(0.0, missed) if np.isfinite(rows).all() else float("inf")
 
-    def jacobian(self, w: Array) -> Array:
+    def jacobian(self, w: Annotated[np.ndarray, "unknowns"]) -> Annotated[np.ndarray, "nonzeros"]:
         """Return the nonzeros of dg/dw in the order of `slopes`."""
         self._set(w)
         self._need("slopes", self._intervals.slopes)
@@ -277,7 +280,9 @@ class Assembly:
             out[more[0][0]] = slope.ravel()[more[0][1]]
         return out
 
-    def hessian(self, w: Array, sigma: float, lam: Array) -> Array:
+    def hessian(
+        self, w: Annotated[np.ndarray, "unknowns"], sigma: float, lam: Annotated[np.ndarray, "rows"]
+    ) -> Annotated[np.ndarray, "nonzeros"]:
         """Return the nonzeros of the upper triangle of the Hessian of sigma f + lam' g."""
         self._set(w)
         path = np.where(self._path_at >= 0, lam[self._path_at], 0.0)
@@ -290,14 +295,16 @@ class Assembly:
             out[self._hessian_places_to[0]] += bend[:, i, j].ravel()
         return out
 
-    def lagrangian_gradient(self, w: Array, sigma: float, lam: Array) -> Array:
-        """Return the slope (width,) of sigma f + lam' g."""
+    def lagrangian_gradient(
+        self, w: Annotated[np.ndarray, "unknowns"], sigma: float, lam: Annotated[np.ndarray, "rows"]
+    ) -> Annotated[np.ndarray, "unknowns"]:
+        """Return the slope of sigma f + lam' g."""
         values = self.jacobian(w)
         pattern = self.slopes
         matrix = csc_matrix((values, pattern.rows, pattern.starts), shape=(self.height, self.width))
         return sigma * self.gradient(w) + matrix.T @ lam
 
-    def start(self) -> Array:
+    def start(self) -> Annotated[np.ndarray, "unknowns"]:
         """Return the start, clipped to the bounds, with fixed values set."""
         p = self.problem
         w = np.zeros(self.width)
@@ -311,7 +318,13 @@ class Assembly:
         w[self._fixed_at] = self.g_low[self._fix_at]
         return np.clip(w, self.low, self.high)
 
-    def split(self, w: Array) -> tuple[Array, Array, Array]:
-        """Return x (nx, N + 1), u (nu, N) and h (legs,) of a vector w."""
+    def split(
+        self, w: Annotated[np.ndarray, "unknowns"]
+    ) -> tuple[
+        Annotated[np.ndarray, "states nodes"],
+        Annotated[np.ndarray, "inputs intervals"],
+        Annotated[np.ndarray, "legs"],
+    ]:
+        """Return the states x, inputs u and step sizes h of a vector w."""
         h = np.ones(self.problem.legs) if self._h_at is None else w[self._h_at[self._first_of]]
         return w[self._x_at].T, w[self._u_at].T, h

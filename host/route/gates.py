@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import Self
+from typing import Annotated, Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -59,16 +59,16 @@ class Gate(Strict):
         cos, sin = math.cos(heading), math.sin(heading)
         return np.array([[cos, sin, 0.0], [-sin, cos, 0.0], [0.0, 0.0, 1.0]])
 
-    def corners_ned(self, waypoint_ned: ArrayLike) -> Array:
-        """Return the corners (4, 3) of an opening, in order around it. Raises ValueError for a sphere."""
+    def corners_ned(self, waypoint_ned: ArrayLike) -> Annotated[np.ndarray, "4 3"]:
+        """Return the corners of an opening, in order around it. Raises ValueError for a sphere."""
         if self.is_sphere:
             raise ValueError("a sphere has no corners")
         wide, high = self._halves_m
         around = np.array([[-wide, -high], [wide, -high], [wide, high], [-wide, high]])
         return np.asarray(waypoint_ned, dtype=float) + around @ self._axes()[1:]
 
-    def frame(self) -> Array:
-        """Return the matrix (3, 3) from an NED offset to coordinates q in which a plan's bounds are units.
+    def frame(self) -> Annotated[np.ndarray, "3 3"]:
+        """Return the matrix from an NED offset to coordinates q in which a plan's bounds are units.
 
         In a sphere |q| <= 1. In an opening q[0], along the normal in metres, is 0, and q[1] and q[2], right
         and down, are within -1 to 1.
@@ -80,8 +80,8 @@ class Gate(Strict):
         wide, high = self._halves_m - np.minimum(_INSET_M, _INSET_SHARE * self._halves_m)
         return np.array([wide if self.is_sphere else 1.0, wide, high])
 
-    def nearest(self, p_ned: ArrayLike, waypoint_ned: ArrayLike) -> Array:
-        """Return the point (3,) that a plan may pass nearest to p_ned, along each axis of the gate."""
+    def nearest(self, p_ned: ArrayLike, waypoint_ned: ArrayLike) -> Annotated[np.ndarray, "3"]:
+        """Return the point that a plan may pass nearest to p_ned, along each axis of the gate."""
         centre = np.asarray(waypoint_ned, dtype=float)
         q = self.frame() @ (np.asarray(p_ned, dtype=float) - centre)
         if self.is_sphere:
