@@ -293,7 +293,7 @@ def test_cut_log_that_is_recovered_can_be_read(
 
 def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
     for verb in (("trace",), ("learn",), ("log", "info"), ("log", "recover")):
-        refused(*verb, ref, code=5, parts=["eight.ref: is no MCAP file"])
+        refused(*verb, ref, code=5, parts=["eight.ref: is not an MCAP file"])
         refused(*verb, "nowhere.mcap", code=5, parts=["nowhere.mcap: cannot be read", "check the path"])
 
 
@@ -413,7 +413,11 @@ def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, t
     (tmp_path / "map.toml").write_text(MAP)
     for words in (("fly", ref), ("import", "csv", "hover.csv", "--columns", "map.toml")):
         refused(
-            *words, "-o", "foo.mcap.bad", code=2, parts=["foo.mcap.bad: a flight log's name ends in .mcap"]
+            *words,
+            "-o",
+            "foo.mcap.bad",
+            code=2,
+            parts=["foo.mcap.bad: give the flight log a name that ends in .mcap"],
         )
 
 
@@ -438,7 +442,7 @@ def test_time_given_two_ways_is_refused(refused: Refused) -> None:
 @pytest.mark.parametrize(
     ("words", "part"),
     [
-        (("--report", "p.ref"), "p.ref: a report's name ends in .html"),
+        (("--report", "p.ref"), "p.ref: give the report a name that ends in .html"),
         (("--pareto",), "--pareto needs --model"),
         (("--pareto", "--model", "drag.model.toml", "-o", "x.ref"), "without --world does not take --output"),
         (("--pareto", "--model", "drag.model.toml", "--stretch"), "does not take --stretch"),
@@ -472,7 +476,7 @@ def test_import_of_poses_that_never_change_says_what_to_check(refused: Refused, 
 def test_import_of_a_short_flight_is_too_little(refused: Refused, tmp_path: Path) -> None:
     hover_csv(tmp_path / "short.csv", seconds=1.5)
     (tmp_path / "map.toml").write_text(MAP)
-    parts = ["short.csv: clear of the ground for 1.5 s, of which 2 s are needed"]
+    parts = ["short.csv: airborne for 1.5 s, but 2 s are needed"]
     refused("import", "csv", "short.csv", "--columns", "map.toml", "-o", "x.mcap", code=2, parts=parts)
 
 
@@ -484,7 +488,7 @@ def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
     refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])
     refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
-    refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file, give a folder"])
+    refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file; give a folder"])
     refused("demo", "-o", ".", code=2, parts=["is not empty; choose another folder or add --force"])
     refused("demo", "--vehicle", "none", code=2, parts=["none: no such vehicle"])
 
@@ -609,7 +613,7 @@ def test_sitl_refused_leaves_no_truth(refused: Refused) -> None:
     refused("sitl", "--port", "foo", "--truth", "t.json", code=2, parts=["foo", "give pty"])
     for place in (("nan", "0"), ("0", "inf")):
         refused("sitl", "--port", "pty", "--start", *place, code=2, parts=["--start", "two numbers in m"])
-    outside = ["--start 0 -10.5: east -10.5 m is outside the fence of research, give -10 to 10"]
+    outside = ["--start 0 -10.5: east -10.5 m is outside the fence of research; give -10 to 10"]
     refused("sitl", "--port", "pty", "--start", "0", "-10.5", code=2, parts=outside)
 
 

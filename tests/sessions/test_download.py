@@ -63,7 +63,7 @@ def test_bytes_that_make_another_id_are_refused(
     damaged = bytearray(reference.to_bytes())
     damaged[100] ^= 1
     monkeypatch.setattr(board.store, "live", lambda kind: bytes(damaged))
-    with pytest.raises(LinkError, match=f"reference {reference.id} received"):
+    with pytest.raises(LinkError, match=f"expected reference {reference.id} but received"):
         download_lockstep("reference", board)
 
 

@@ -103,7 +103,7 @@ def test_flight_with_a_swap_is_logged_as_the_one_composed_reference(
 def test_upload_that_is_not_done_in_time_leaves_the_first_reference_flown(
     fly: Fly, reference: Reference
 ) -> None:
-    with pytest.raises(FlightEnded, match=r"flown to its end, \w+ did not take over: ") as caught:
+    with pytest.raises(FlightEnded, match=r"flown to its end, but \w+ did not take over: ") as caught:
         fly(then=follow(reference, 250_000), swap_us=250_000)
     result = caught.value.result
     assert result.end is not None

@@ -139,7 +139,7 @@ def test_report_of_a_demo_without_a_second_plan_says_why(planned: Planned, vehic
     assert len(flown["table"][0]) == 2
     assert "No measured error got worse" in worse["text"][0]
     assert report.summary(comparison.to_json()) == [
-        "tracking error on route hop: 52.0 mm as first flown",
+        "tracking error on route hop: 52.0 mm with the first plan",
         "  no new plan: nothing was traced",
         "  effects not applied: nothing was traced",
     ]
@@ -156,7 +156,7 @@ def test_report_of_a_demo_without_a_new_plan_says_what_flew_with_the_effects(
         voltage_ratio=0.92,
     )
     flown, _ = report.sections(comparison, no_prediction(), vehicle)["sections"]
-    for text in ("not a drag.", "(first plan, effects applied)", "a battery at 92.0 % of its full voltage"):
+    for text in ("not a drag.", "(first plan, effects applied)", "a battery at 92.0 % of full voltage"):
         assert text in flown["text"][0]
     assert report.summary(comparison.to_json())[1:] == [
         "  no new plan: thrust-gain: not a drag",

@@ -39,7 +39,7 @@ def test_demo_into_a_folder_that_holds_files_is_refused(
     (tmp_path / "kept").mkdir()
     (tmp_path / "kept" / "notes.txt").write_text("mine")
     assert cli.main(["demo", "-o", "kept"]) == 2
-    assert "kept: holds files, choose another folder or add --force" in capsys.readouterr().err
+    assert "kept: is not empty; choose another folder or add --force" in capsys.readouterr().err
     assert cli.main(["demo", "-o", "kept/notes.txt"]) == 2
     assert "is a file; give a folder" in capsys.readouterr().err
 
