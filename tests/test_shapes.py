@@ -78,7 +78,7 @@ def test_tuple_without_shapes_has_none() -> None:
     [
         pytest.param(f"trace {A1} {B1} --hold-out {C1} -o traced", id="trace"),
         pytest.param(f"learn {A1} {B1} --hold-out {C1} -o learned.model.toml", id="learn"),
-        pytest.param("plan figure-eight --kind min-residual", id="plan"),
+        pytest.param("plan figure-eight --kind min-control", id="plan"),
     ],
 )
 def test_arrays_of_a_verb_have_the_shapes_of_their_annotations(words: str, tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.models.model import Covariance, Model, network_digest
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
-from trimtab.host.vehicle.files import write_toml
+from trimtab.host.vehicle.canonical_toml import write_toml
 from trimtab.host.vehicle.strict_toml import ConfigurationError, Strict, read_strict
 
 SUFFIX = ".model.toml"

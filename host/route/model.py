@@ -12,7 +12,7 @@ from pydantic import Field, field_validator, model_validator
 
 from trimtab.host.route.gates import Gate
 from trimtab.host.route.shapes import Shape
-from trimtab.host.vehicle.files import write_toml
+from trimtab.host.vehicle.canonical_toml import write_toml
 from trimtab.host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
 from trimtab.host.vehicle.strict_toml import Strict
 

@@ -15,6 +15,7 @@ from typing import Annotated, Any, Literal, Self
 from pydantic import AfterValidator, Field, ValidationInfo, field_validator, model_validator
 
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.vehicle.canonical_toml import write_toml
 from trimtab.host.vehicle.strict_toml import Strict, number, validate, value_at
 
 Positive = Annotated[float, Field(gt=0.0)]
@@ -194,8 +195,6 @@ class Vehicle(Strict):
 
     def to_toml(self) -> str:
         """Return the canonical TOML text. The same vehicle gives the same bytes, and reads back equal."""
-        from trimtab.host.vehicle.files import write_toml
-
         return write_toml(self)
 
     def __hash__(self) -> int:
@@ -203,9 +202,8 @@ class Vehicle(Strict):
 
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the function and arguments that rebuild the vehicle, for pickle."""
-        from trimtab.host.vehicle.files import parse_vehicle
-
-        return parse_vehicle, (self.to_toml(), self.name)
+        data = {**self.model_dump(exclude={"tolerances"}), "tolerances": dict(self.tolerances)}
+        return validate, (data, self.name, Vehicle)
 
 
 def hover_problem(data: Mapping[str, Any]) -> str | None:

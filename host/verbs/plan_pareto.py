@@ -10,7 +10,7 @@ if TYPE_CHECKING:
 
     from trimtab.host.plan.flown import Flown
     from trimtab.host.plan.pareto import Point
-    from trimtab.host.verbs.plan import PlanOptions, PlanTask
+    from trimtab.host.verbs.plan_options import PlanOptions, PlanTask
 
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report", "--workspace")
 _LEFT_OUT = ("--json", "--force")

@@ -330,7 +330,7 @@ def test_logs_of_several_vehicles_are_refused_together(
         log,
         other,
         code=2,
-        parts=["foreign.mcap: a log of vehicle nano", "apart"],
+        parts=["foreign.mcap: a log of vehicle nano", "separately"],
         refusal="mixed-vehicles",
     )
     refused(

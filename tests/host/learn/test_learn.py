@@ -146,7 +146,7 @@ def test_learn_verb_networks_in_the_bodys_frame_are_kept_as_such(logs, tmp_path,
 @pytest.mark.parametrize(
     ("words", "told"),
     [
-        (["--effects", "lnear-drag"], "--effects lnear-drag: no such effect; there are"),
+        (["--effects", "lnear-drag"], "--effects lnear-drag: no such effect; available are"),
         (["--no-network", "--effects", "none"], "nothing to learn; leave out --no-network"),
         (["--method", "paper", "--frame", "body"], "learns only a network in the world frame"),
     ],

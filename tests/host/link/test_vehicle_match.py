@@ -10,7 +10,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.link.tasks import Identity
 from trimtab.host.link.vehicle_match import check_same_vehicle, name_of, neutral_feedforward
 from trimtab.host.vehicle import load_vehicle
-from trimtab.host.vehicle.files import write_toml
+from trimtab.host.vehicle.canonical_toml import write_toml
 
 STRANGER = Identity(vehicle_id="a" * 12, uid="1")
 
