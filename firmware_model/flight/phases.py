@@ -188,13 +188,13 @@ class Phases:
     def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
         """Go to the reference's first node and hover; from the floor, climb first."""
         values = self._parameters
+        state, yaw = present
         path = track.transit(
-            *present,
+            braking.braked(state, values["LAND_DECEL"], self._room()),
+            yaw,
             reference.start_ned,
             reference.start_yaw,
             speed=values["TAKEOFF_SPEED"],
-            deceleration=values["LAND_DECEL"],
-            room=self._room(),
             hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
             upright=self._is_low(present[0]),
         )

@@ -144,26 +144,24 @@ def climb(
     return _legs([(0, node_at_rest(p))], (yaw, 0.0), corners, yaw_end, speed=speed, hover_us=hover_us)
 
 
-def transit(  # noqa: PLR0913 (the data of one problem)
-    state: Node,
+def transit(
+    stop: list[tuple[int, Node]],
     yaw: YawState,
     target: Vector,
     yaw_end: float,
     *,
     speed: float,
-    deceleration: float,
-    room: Room,
     hover_us: int,
     upright: bool = False,
 ) -> Track:
-    """Return a stop from the reference state (p, v, a, j), a straight path to `target`, and a hover.
+    """Return a stop, a straight path to `target`, and a hover.
 
-    upright: climb vertically to the target's height first. Speeds, times and yaw are as in `climb`.
+    stop: nodes of the stop, as `braked` returns them. upright: climb vertically to the target's height first.
+    Speeds, times and yaw are as in `climb`.
     """
-    nodes = braked(state, deceleration, room)
-    north, east, _ = position_of(nodes[-1][1])
+    north, east, _ = position_of(stop[-1][1])
     corners = [(north, east, target[2]), target] if upright else [target]
-    return _legs(nodes, yaw, corners, yaw_end, speed=speed, hover_us=hover_us)
+    return _legs(stop, yaw, corners, yaw_end, speed=speed, hover_us=hover_us)
 
 
 def _legs(

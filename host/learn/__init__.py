@@ -1,7 +1,7 @@
 """Learning the residual of a flight's closed loop from its trajectories (paper section IV-B)."""
 
+from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.learn.learn import DEFAULT_FORMS, Judged, Learned, learn
-from trimtab.host.learn.quick import CondensedSettings
 from trimtab.host.learn.train import Settings
 
 __all__ = ["DEFAULT_FORMS", "CondensedSettings", "Judged", "Learned", "Settings", "learn"]

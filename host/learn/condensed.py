@@ -9,7 +9,7 @@ costs as much as supervised learning, and a basis that is linear in its paramete
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -18,12 +18,37 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.learn.adjoint import Rollouts
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.learn.linear import effect_scales, linearised
+from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
 from trimtab.host.models.slots import mocap_latency_s
 
 _BLOCK = 32
 """Segments at a time, which take about a hundred megabytes."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class CondensedSettings:
+    """How to learn on the condensed loss.
+
+    layout: of the network, None for effects alone. passes: each condenses about the result of the one before.
+    patience: iterations without a better validation loss that end a pass. l2: penalty on the weights, for a
+    loss of unit mean diagonal. free_start: segments start where they fit best, not as measured. delay:
+    estimate how much later the poses are than stamped.
+    """
+
+    layout: Layout | None = field(default_factory=lambda: Layout(hidden=(32, 32)))
+    iterations: int = 300
+    patience: int = 40
+    passes: int = 2
+    l2: float = 1e-5
+    any_heading: bool = True
+    free_start: bool = True
+    delay: bool = False
+
+    def __post_init__(self) -> None:
+        if min(self.iterations, self.patience, self.passes) < 1 or self.l2 < 0.0:
+            raise ValueError(f"iterations, patience and passes must be positive, l2 not negative: {self}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -54,11 +79,10 @@ DELAY_S = 0.01
 """Scale of the delay of poses."""
 
 
-def condense(  # noqa: PLR0913 (the data of one problem)
+def condense(
     engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,
-    weight: Annotated[np.ndarray, "12"],
     start_sigma: Annotated[np.ndarray, "segments size"],
     acceleration: Annotated[np.ndarray, "segments nodes 3"],
     theta: Annotated[np.ndarray, "parameters"],
@@ -68,7 +92,7 @@ def condense(  # noqa: PLR0913 (the data of one problem)
 ) -> Condensed:
     """Return the segments' loss, condensed about a residual acceleration, theta and a delay of poses.
 
-    acceleration: NED. weight: diagonal L of the loss. start_sigma: scale of changes of the starts. free:
+    acceleration: NED. start_sigma: scale of changes of the starts. free:
     entries of theta that are learned. taken_s: the latency that the measured states were given. An effect
     that makes poses late delays the measured states too, in addition to its effect on board.
     """
@@ -80,7 +104,7 @@ def condense(  # noqa: PLR0913 (the data of one problem)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
     constant, at = np.empty(count), np.empty((count, size))
-    root = np.tile(np.sqrt(weight / segments.steps), segments.steps)
+    root = np.tile(np.sqrt(engine.weight / segments.steps), segments.steps)
     for first in range(0, count, _BLOCK):
         block = np.arange(first, min(first + _BLOCK, count))
         part, sigma = segments.take(block), start_sigma[block]

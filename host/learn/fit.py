@@ -10,7 +10,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import minimize
 
-from trimtab.host.learn.condensed import DELAY_S, Condensed
+from trimtab.host.learn.condensed import DELAY_S, Condensed, CondensedSettings
 from trimtab.host.models.network import Layout
 
 SLAB = 2.0
@@ -73,24 +73,21 @@ def accelerations(
     return flat.T.reshape(*states.shape[:2], 3)
 
 
-def fit(  # noqa: PLR0913 (the data of one problem)
+def fit(
     basis: Basis,
     train: Examples,
     validation: Examples,
     start: Annotated[np.ndarray, "values"],
+    settings: CondensedSettings,
     *,
-    iterations: int,
-    patience: int,
-    l2: float,
     headings: Annotated[np.ndarray, "copies segments"] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> Fitted:
     """Return the values that fit best, from `start`; stop early where validation does not improve.
 
-    l2: penalty on the weights, for a loss scaled to a unit mean diagonal. headings, rad: every
-    segment counts once for each of these angles, turned by it.
+    headings, rad: every segment counts once for each of these angles, turned by it.
     """
-    problem = _Problem(basis, train, l2=l2, headings=headings)
+    problem = _Problem(basis, train, l2=settings.l2, headings=headings)
     checked = _Problem(basis, validation, l2=0.0, headings=None, scale=problem.scale)
     losses, checks = [], [checked.loss(start)]
     best = [start.copy(), 0]
@@ -105,10 +102,16 @@ def fit(  # noqa: PLR0913 (the data of one problem)
             best[:] = [v.copy(), len(losses)]
         if on_iteration is not None:
             on_iteration(len(losses), checks[-1])
-        if len(losses) - int(best[1]) >= patience:
+        if len(losses) - int(best[1]) >= settings.patience:
             raise Enough
 
-    options = {"maxiter": iterations, "maxfun": 4 * iterations, "maxcor": _MEMORY, "ftol": 0.0, "gtol": 1e-12}
+    options = {
+        "maxiter": settings.iterations,
+        "maxfun": 4 * settings.iterations,
+        "maxcor": _MEMORY,
+        "ftol": 0.0,
+        "gtol": 1e-12,
+    }
     with suppress(Enough):
         minimize(problem, start, jac=True, method="L-BFGS-B", callback=after, options=options)
     xi, eta, delay = problem.split(np.asarray(best[0]))

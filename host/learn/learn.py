@@ -11,8 +11,9 @@ import numpy as np
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import Effect
 from trimtab.host.learn.candidates import Candidate, Trial, best, note
+from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.learn.evaluate import Errors, model_errors, model_parts
-from trimtab.host.learn.quick import CondensedSettings, CondensedTrained, train_condensed
+from trimtab.host.learn.quick import CondensedTrained, train_condensed
 from trimtab.host.learn.split import Split
 from trimtab.host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from trimtab.host.log import Flight
@@ -197,7 +198,7 @@ def _candidates(
         train_condensed(
             phi,
             theta,
-            *segments,
+            segments,
             each,
             rng,
             weight=weight,

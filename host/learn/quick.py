@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
 
 from trimtab.host.learn.adjoint import loss_of
-from trimtab.host.learn.condensed import DELAY_S, condense, latency_s
+from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, latency_s
 from trimtab.host.learn.fit import Basis, Examples, Fitted, accelerations, fit
 from trimtab.host.learn.lanes import rollouts
 from trimtab.host.learn.linear import effect_scales
@@ -26,30 +26,6 @@ _FIXED_START = 1e-6
 
 _SMALLEST = Layout(hidden=(1,))
 """Layout of roll-outs without a network."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class CondensedSettings:
-    """How to learn on the condensed loss.
-
-    layout: of the network, None for effects alone. passes: each condenses about the result of the one before.
-    patience: iterations without a better validation loss that end a pass. l2: penalty on the weights, for a
-    loss of unit mean diagonal. free_start: segments start where they fit best, not as measured. delay:
-    estimate how much later the poses are than stamped.
-    """
-
-    layout: Layout | None = field(default_factory=lambda: Layout(hidden=(32, 32)))
-    iterations: int = 300
-    patience: int = 40
-    passes: int = 2
-    l2: float = 1e-5
-    any_heading: bool = True
-    free_start: bool = True
-    delay: bool = False
-
-    def __post_init__(self) -> None:
-        if min(self.iterations, self.patience, self.passes) < 1 or self.l2 < 0.0:
-            raise ValueError(f"iterations, patience and passes must be positive, l2 not negative: {self}")
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,11 +48,10 @@ class CondensedTrained:
         return sum(each.iterations for each in self.fitted)
 
 
-def train_condensed(  # noqa: PLR0913 (the data of one problem)
+def train_condensed(
     phi: Phi,
     theta: Annotated[np.ndarray, "parameters"],
-    segments: Segments,
-    validation: Segments,
+    segments: tuple[Segments, Segments],
     settings: CondensedSettings,
     rng: np.random.Generator,
     *,
@@ -84,12 +59,13 @@ def train_condensed(  # noqa: PLR0913 (the data of one problem)
     free: Sequence[int] | None = None,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
-    """Return the residual of phi learned from `segments`: parameters of its effects and a network.
+    """Return the residual of phi learned from segments: parameters of its effects and a network.
 
-    theta: parameters to begin at; the measured states have the latency that it gives. weight: diagonal L of
-    the loss. free: indices of theta that are learned; default all. on_iteration: called with the number of
-    iterations of all passes so far, and the validation loss.
+    segments: to learn from, and for validation. theta: parameters to begin at; the measured states have the
+    latency that it gives. weight: diagonal L of the loss. free: indices of theta that are learned; default
+    all. on_iteration: called with the number of iterations of all passes so far, and the validation loss.
     """
+    train_on, validation = segments
     chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
     scale = effect_scales(phi)[chosen]
     basis = Basis(layout=settings.layout, parameters=len(chosen), delay=settings.delay)
@@ -97,8 +73,8 @@ def train_condensed(  # noqa: PLR0913 (the data of one problem)
     if settings.layout is not None:
         start[: basis.weights] = settings.layout.initial(rng)
     start[basis.weights : basis.weights + len(chosen)] = (theta - phi.theta_neutral)[chosen] / scale
-    headings = _headings(settings, segments.count, rng)
-    condenser = _Condenser(phi, theta, basis, chosen, settings, segments.step_s, weight)
+    headings = _headings(settings, train_on.count, rng)
+    condenser = _Condenser(phi, theta, basis, chosen, settings, train_on.step_s, weight)
     fits: list[Fitted] = []
     network, learned, delay_s = np.zeros(basis.weights), theta.copy(), 0.0
     for turn in range(settings.passes):
@@ -109,12 +85,10 @@ def train_condensed(  # noqa: PLR0913 (the data of one problem)
 
         fitted = fit(
             basis,
-            condenser.examples(segments, network, learned, delay_s),
+            condenser.examples(train_on, network, learned, delay_s),
             condenser.examples(validation, network, learned, delay_s),
             start,
-            iterations=settings.iterations,
-            patience=settings.patience,
-            l2=settings.l2,
+            settings,
             headings=headings,
             on_iteration=report,
         )
@@ -154,7 +128,7 @@ class _Condenser:
         step_s: float,
         weight: np.ndarray,
     ) -> None:
-        self._phi, self._basis, self._weight, self._free = phi, basis, weight, free.tolist()
+        self._phi, self._basis, self._free = phi, basis, free.tolist()
         self._engine = rollouts(phi, _SMALLEST, theta, batch=1, step_s=step_s, weight=weight)
         self._latency_s = latency_s(phi, theta)
         self._start_share = 1.0 if settings.free_start else _FIXED_START
@@ -167,7 +141,6 @@ class _Condenser:
         condensed = condense(
             self._engine,
             segments,
-            weight=self._weight,
             start_sigma=start_sigma(self._phi, segments) * self._start_share,
             acceleration=accelerations(self._basis, network, states),
             theta=theta,

@@ -19,6 +19,7 @@ from trimtab.host.apps.paper.learning.methods import (
     WEIGHT,
     WORLD,
     condensed,
+    condensed_settings,
     exact_segments,
     paper,
     phi_of,
@@ -73,9 +74,8 @@ def measure(
     on_progress(STEPS[4])
     adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
     on_progress(STEPS[5])
-    quick = condensed(
-        phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, iterations=iterations, passes=1
-    )
+    settings = condensed_settings(PAPER_MLP, iterations, passes=1)
+    quick = condensed(phi, train, validation, seed, settings, weight=WEIGHT)
     return {
         "gradient_ms": lanes_ms,
         "gradient_vm_ms": machine_ms,

@@ -10,11 +10,11 @@ import pytest
 from trimtab.host.codegen import find_compiler
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
-from trimtab.host.learn.condensed import DELAY_S, condense
+from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense
 from trimtab.host.learn.fit import Basis, Examples, accelerations, fit
 from trimtab.host.learn.lanes import LaneRollouts, rollouts
 from trimtab.host.learn.linear import between, effect_scales
-from trimtab.host.learn.quick import CondensedSettings, train_condensed
+from trimtab.host.learn.quick import train_condensed
 from trimtab.host.learn.starts import start_sigma
 from trimtab.host.learn.train import LOSS_SIGMA
 from trimtab.host.models.network import Layout
@@ -43,7 +43,6 @@ def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndar
     return condense(
         engine,
         segments,
-        weight=WEIGHT,
         start_sigma=held * start_sigma(PHI, segments),
         acceleration=acceleration,
         theta=theta,
@@ -99,7 +98,6 @@ def test_both_engines_condense_alike(segments, require):
         condense(
             engine,
             few,
-            weight=WEIGHT,
             start_sigma=start_sigma(PHI, few),
             acceleration=np.zeros((1, STEPS + 1, 3)),
             theta=theta,
@@ -140,8 +138,7 @@ def learned(make_states, settings, phi=PHI, *, noise=1.0, turn=lambda s: s):
     return train_condensed(
         phi,
         phi.theta_neutral,
-        segments.take(order[6:]),
-        segments.take(order[:6]),
+        (segments.take(order[6:]), segments.take(order[:6])),
         settings,
         rng,
         weight=WEIGHT,
@@ -161,8 +158,7 @@ def test_what_is_not_free_stays(make_states):
     trained = train_condensed(
         PHI,
         theta,
-        segments,
-        segments.take([0, 4, 8]),
+        (segments, segments.take([0, 4, 8])),
         CondensedSettings(layout=None),
         np.random.default_rng(0),
         weight=WEIGHT,
@@ -208,7 +204,6 @@ def test_fit_ends_early_where_validation_does_not_improve(segments):
         condensed = condense(
             engine,
             part,
-            weight=WEIGHT,
             start_sigma=start_sigma(BARE, part),
             acceleration=np.zeros((part.count, STEPS + 1, 3)),
             theta=np.zeros(0),
@@ -217,7 +212,9 @@ def test_fit_ends_early_where_validation_does_not_improve(segments):
         phi_examples.append(Examples(condensed=condensed, states=part.measured[:, :, 3:9]))
     start = np.zeros(basis.size)
     start[:] = Layout(hidden=(4,)).initial(np.random.default_rng(0))
-    found = fit(basis, phi_examples[0], phi_examples[1], start, iterations=400, patience=5, l2=0.0)
+    found = fit(
+        basis, phi_examples[0], phi_examples[1], start, CondensedSettings(iterations=400, patience=5, l2=0.0)
+    )
     assert found.best <= found.iterations <= found.best + 5
     assert found.validation_loss[found.best] == found.validation_loss.min()
     assert accelerations(basis, found.xi, few.measured[:, :, 3:9]).shape == (2, STEPS + 1, 3)

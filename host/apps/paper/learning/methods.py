@@ -9,7 +9,8 @@ import numpy as np
 
 from trimtab.host.apps.paper.learning.flights import Flights
 from trimtab.host.apps.paper.learning.measure import Candidate
-from trimtab.host.learn.quick import CondensedSettings, train_condensed
+from trimtab.host.learn.condensed import CondensedSettings
+from trimtab.host.learn.quick import train_condensed
 from trimtab.host.learn.train import Settings, Trained, train
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
@@ -111,21 +112,16 @@ def paper(
     return Timed(candidate=candidate, seconds=seconds, trained=trained)
 
 
-def condensed(  # noqa: PLR0913 (one keyword for each choice)
-    phi: Phi,
-    train_on: Segments,
-    validation: Segments,
-    seed: int,
-    *,
+def condensed_settings(
     layout: Layout | None,
-    weight: np.ndarray,
     iterations: int = SHORT,
+    *,
     l2: float = 1e-6,
     free_start: bool = True,
     passes: int = 2,
-) -> Timed:
-    """Return the condensed loss with L-BFGS."""
-    settings = CondensedSettings(
+) -> CondensedSettings:
+    """Return the settings of the condensed loss: headings as flown, patience by the iterations."""
+    return CondensedSettings(
         layout=layout,
         passes=passes,
         iterations=iterations,
@@ -134,9 +130,21 @@ def condensed(  # noqa: PLR0913 (one keyword for each choice)
         any_heading=False,
         free_start=free_start,
     )
+
+
+def condensed(
+    phi: Phi,
+    train_on: Segments,
+    validation: Segments,
+    seed: int,
+    settings: CondensedSettings,
+    *,
+    weight: np.ndarray,
+) -> Timed:
+    """Return what the condensed loss with L-BFGS learns."""
     rng = np.random.default_rng(seed)
     began = perf_counter()
-    found = train_condensed(phi, phi.theta_neutral, train_on, validation, settings, rng, weight=weight)
+    found = train_condensed(phi, phi.theta_neutral, (train_on, validation), settings, rng, weight=weight)
     seconds = perf_counter() - began
     candidate = Candidate(phi=phi, theta=found.theta, network=found.network)
     return Timed(candidate=candidate, seconds=seconds)
@@ -158,8 +166,6 @@ def learn_exact(
         exact_segments(phi, train_on),
         exact_segments(phi, validation),
         seed,
-        layout=regressor.layout,
+        condensed_settings(regressor.layout, iterations, l2=l2),
         weight=WEIGHT,
-        iterations=iterations,
-        l2=l2,
     )

@@ -9,9 +9,15 @@ import numpy as np
 
 from trimtab.host.apps.paper.learning.flights import STEP_S, Flights
 from trimtab.host.apps.paper.learning.measure import acceleration_error
-from trimtab.host.apps.paper.learning.methods import Regressor, condensed, patience_of, phi_of
+from trimtab.host.apps.paper.learning.methods import (
+    Regressor,
+    condensed,
+    condensed_settings,
+    patience_of,
+    phi_of,
+)
 from trimtab.host.apps.paper.learning.supervised import label, train_supervised
-from trimtab.host.learn.quick import CondensedSettings
+from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.log.smoothing import Series, Smoothed, smooth
 
 POSITION_M, ATTITUDE_RAD, RATE_RAD_S = 1e-3, float(np.deg2rad(0.3)), 0.02
@@ -96,11 +102,8 @@ def compare(
             train,
             validation,
             seed,
-            layout=regressor.layout,
+            condensed_settings(regressor.layout, iterations, l2=_L2, free_start=method == TRAJECTORY),
             weight=weight,
-            iterations=iterations,
-            l2=_L2,
-            free_start=method == TRAJECTORY,
         ).candidate
     settings = CondensedSettings(
         layout=regressor.layout, iterations=iterations, patience=patience_of(iterations), l2=_L2

@@ -12,10 +12,9 @@ import numpy as np
 
 from trimtab.host.apps.paper.learning.flights import STEP_S, Flights, accelerations, cut
 from trimtab.host.apps.paper.learning.measure import Candidate
-from trimtab.host.learn.condensed import Condensed
+from trimtab.host.learn.condensed import Condensed, CondensedSettings
 from trimtab.host.learn.fit import Basis, Examples, fit
 from trimtab.host.learn.linear import effect_scales
-from trimtab.host.learn.quick import CondensedSettings
 from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
 
@@ -60,9 +59,7 @@ def train_supervised(
         _examples(phi, train),
         _examples(phi, validation),
         start,
-        iterations=settings.iterations,
-        patience=settings.patience,
-        l2=settings.l2,
+        settings,
     )
     network = None if settings.layout is None else Network(layout=settings.layout, xi=found.xi)
     return Candidate(phi=phi, theta=phi.theta_neutral + effect_scales(phi) * found.eta, network=network)
