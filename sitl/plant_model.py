@@ -65,10 +65,8 @@ STATE = (
 )
 """State of the plant, in order.
 
-`gust`: accelerations in NED (m/s^2) and angular accelerations in FRD (rad/s^2) of turbulence.
-`acceleration_ned` and `turning_frd`: linear and angular acceleration of the last tick.
-`payload_ned`: position and velocity of a slung payload. `slide`: displacement and speed of a battery on its
-tray.
+`gust`: accelerations of turbulence, NED (m/s^2) and FRD (rad/s^2). `acceleration_ned`, `turning_frd`: of the
+last tick. `payload_ned`: position and velocity of the payload. `slide`: displacement and speed of the battery.
 """
 
 PARAMETERS = (
@@ -82,10 +80,8 @@ PARAMETERS = (
     Block("thrust_curve", 2),
     Block("torque_per_thrust_m", 1),
     Block("hover_speed", 1),
-    Block(
-        "rise_half_tick", 1
-    ),  # exp(-half a tick / time constant) of a rotor that speeds up; next, of one that slows down
-    Block("fall_half_tick", 1),
+    Block("rise_half_tick", 1),  # exp(-half a tick / time constant) of a rotor that speeds up
+    Block("fall_half_tick", 1),  # the same of one that slows down
     Block("thrust_gain", 1),
     Block("linear_drag", 3),
     Block("quadratic_drag", 1),
@@ -97,9 +93,7 @@ PARAMETERS = (
     Block("battery", 5),  # full V, empty V, resistance ohm, capacity C, hover power W
     Block("gust", 3),  # decay over a tick, added sd of acceleration and of angular acceleration
     Block("hover_inflow", 2),  # induced velocity at hover, m/s, and its fourth power
-    Block(
-        "translational_lift", 1
-    ),  # N of a rotor at hover speed, per m/s of reduction of the induced velocity
+    Block("translational_lift", 1),  # N of a rotor at hover speed, per m/s less induced velocity
     Block("thrust_inflow", 1),  # N of a rotor at hover speed, per m/s along its axis
     Block("rotor_loss", 4),
     Block("ground_effect", 1),
@@ -111,9 +105,7 @@ PARAMETERS = (
     Block("fan", 6),  # push m/s^2, width m, place NE, direction NE
     Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
     Block("payload", 3),  # mass kg, length of the line m, damping of the swing at the attachment 1/s
-    Block(
-        "slide", 5
-    ),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z in FRD, distance to its end m
+    Block("slide", 5),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z FRD, its length m
 )
 """The constants of one flight, in order."""
 
