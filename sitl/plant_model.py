@@ -66,7 +66,7 @@ STATE = (
 """State of the plant, in order.
 
 `gust`: accelerations of turbulence, NED (m/s^2) and FRD (rad/s^2). `acceleration_ned`, `turning_frd`: of the
-last tick. `payload_ned`: position and velocity of the payload. `slide`: displacement and speed of the battery.
+last tick. `payload_ned`: position and velocity of the payload. `slide`: displacement and speed of a battery.
 """
 
 PARAMETERS = (
