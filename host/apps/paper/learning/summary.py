@@ -31,7 +31,7 @@ STATISTICS_PAPER = {
 
 METHODS = {
     "nominal": "nominal model",
-    "paper": "paper: MLP 3 x 32, Adam",
+    "paper": "MLP 3 x 32, Adam, our settings",
     "hybrid": "effects + MLP (default)",
     "body": "effects + MLP on body velocity",
 }
