@@ -120,7 +120,7 @@ CASES = {
 Plan = Callable[[str, Vehicle], Reference]
 
 
-@pytest.fixture(scope="module")
+@pytest.fixture(scope="session")
 def planned() -> Plan:
     """References by route and vehicle, each planned once."""
 
