@@ -256,7 +256,7 @@ class Flight:
         elif self.state in (State.LANDING, State.FAILSAFE):
             if self._has_landed(now_us):
                 self.command(Event.TOUCHDOWN, now_us)
-        elif self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
+        elif self._flying and self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
             if self._cos_tilt[0] > LEVEL:
                 self.monitor.update_thrust_ratio(force=-self._force[2], thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0

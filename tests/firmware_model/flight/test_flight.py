@@ -51,6 +51,17 @@ def test_hold_lasts_as_long_as_the_parameter_says(make_rig):
     assert rig.now_us - start == 500_000
 
 
+def test_vehicle_armed_on_a_table_learns_neither_thrust_ratio_nor_disturbance(make_rig, make_body):
+    rig = make_rig(body=make_body(p=(0.0, 0.0, -1.0)))
+    rig.standby()
+    assert rig.flight.height_m > 2.0 * DEFAULTS["LAND_HEIGHT"]
+    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    rig.run(1.0)
+    assert rig.flight.state is State.ARMED
+    assert rig.flight.monitor.thrust_ratio == 1.0
+    assert rig.flight._observing[0] == 0.0
+
+
 def test_boot_ends_after_its_time_and_arms_nothing_before(make_rig):
     rig = make_rig()
     rig.run(0.1)
