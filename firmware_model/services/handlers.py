@@ -27,7 +27,7 @@ from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 TEXT_BYTES = 50
 SOFTWARE_VERSION = 0x00_02_00_FF
-"""0.2.0, official: the version of the package in the bytes of AUTOPILOT_VERSION."""
+"""AUTOPILOT_VERSION.flight_sw_version: major 0, minor 2, patch 0, type 255 (official)."""
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -43,7 +43,7 @@ _CAPABILITIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Identity of a power-up: its uid, and the id (6 B) of the vehicle file that it was set up for."""
+    """Identity of a power-up: its unique id, and the id (6 B) of the vehicle's file."""
 
     uid: int
     vehicle_id: bytes
@@ -170,7 +170,7 @@ class Handlers:
             self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
     def take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        """Report the events of an upload and send its answers."""
+        """Report the events of an upload to the owner and send its answers."""
         for event in events:
             self._on_upload(event)
         for answer in self._upload.send(now_us):

@@ -155,8 +155,8 @@ class Rig:
 
     def take_off(self):
         self.standby()
-        assert self.flight.command(Event.ARM, self.now_us) is None
-        assert self.flight.command(Event.START, self.now_us) is None
+        assert self.flight.handle_event(Event.ARM, self.now_us) is None
+        assert self.flight.handle_event(Event.START, self.now_us) is None
 
     def track(self):
         self.take_off()
