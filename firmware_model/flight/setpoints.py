@@ -1,11 +1,10 @@
 """Setpoints of a stream, and the track from the present reference to a setpoint.
 
 Every setpoint of position or velocity becomes a short polynomial that starts at the present position,
-velocity, acceleration and jerk of the reference, so the reference never jumps. The piece ends
-with the velocity and acceleration that the setpoint gives; without a newer setpoint the acceleration then ends
-within RENEWAL_S and the velocity stays. If setpoints arrive at a constant
-rate, this filters the stream: a moving position is followed with a delay of 0.29 s, or without delay if the
-setpoint includes its velocity.
+velocity, acceleration and jerk of the reference, so the reference never jumps. It ends with the velocity and
+acceleration that the setpoint gives. Without a newer setpoint the acceleration then ends within RENEWAL_S and
+the velocity stays. If setpoints arrive at a constant rate, this filters the stream: a moving position is
+followed with a delay of 0.29 s, or without delay if the setpoint includes its velocity.
 """
 
 from __future__ import annotations
