@@ -10,8 +10,8 @@ number of yaw nodes. A node has 52 B: t_us u32 and p, v, a, j (3 float32 each, N
 A yaw node has 12 B: t_us u32, yaw and yaw rate (float32).
 
 A feed-forward continues with the model id (6 B), the number of hidden layers u8 and their widths (u8 each).
-float32 numbers follow: the first count is the number for form (a), the second the number for form (b). The
-flags name the forms.
+float32 numbers follow: the first count is the number of values of form (a), a block of coefficients; the
+second, of form (b), a network. The flags name the forms.
 
 The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. Objects round their values to float32
 when they are built, so the host holds exactly what the vehicle flies.
@@ -135,7 +135,7 @@ class Reference:
         check_increasing("yaws", [yaw.t_us for yaw in yaws])
 
     def to_bytes(self) -> bytes:
-        """Return the blob: `HEADER_BYTES + 52 nodes + 12 yaws` bytes."""
+        """Return the blob: `HEADER_BYTES + 52 len(nodes) + 12 len(yaws)` bytes."""
         flags = self._FREE_ENDS if self.free_ends else 0
         counts = (len(self.nodes), len(self.yaws))
         head = pack_header(self.KIND, flags, self.vehicle_id, self.origin_ned, counts)
@@ -246,7 +246,7 @@ class FeedForward:
         head = unpack_header(data, cls.KIND)
         if head.flags & ~(cls._BLOCK | cls._NETWORK):
             raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
-        if any(data[ORIGIN_BYTES]):  # -0.0 would be another blob of the same content
+        if any(data[ORIGIN_BYTES]):  # -0.0 is refused too: the same content would have two ids
             raise BlobError("origin: must be 0 in a feed-forward")
         sizes_at = HEADER_BYTES + 6
         if len(data) <= sizes_at:

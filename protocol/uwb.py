@@ -19,7 +19,7 @@ class Priority(IntEnum):
     """Priority classes of messages, the most urgent first."""
 
     URGENT = 0
-    CONTROL = 1
+    FAST_TELEMETRY = 1
     STATUS = 2
     UPLOAD = 3
 
@@ -29,15 +29,15 @@ _URGENT = (
     # A client streams setpoints before it commands OFFBOARD: the command must not overtake them.
     *("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"),
 )
-_CONTROL = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
+_FAST_TELEMETRY = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
 _BULK = ("UPLOAD_", "FILE_TRANSFER_PROTOCOL")
 
 
 def _priority(name: str) -> Priority:
     if name in _URGENT:
         return Priority.URGENT
-    if name in _CONTROL:
-        return Priority.CONTROL
+    if name in _FAST_TELEMETRY:
+        return Priority.FAST_TELEMETRY
     return Priority.UPLOAD if name.startswith(_BULK) else Priority.STATUS
 
 
@@ -47,7 +47,7 @@ _UNKNOWN = Priority.STATUS
 
 CAPACITY_BYTES: Mapping[Priority, int] = {
     Priority.URGENT: 1024,
-    Priority.CONTROL: 512,
+    Priority.FAST_TELEMETRY: 512,
     Priority.STATUS: 4096,
     Priority.UPLOAD: 4096,
 }
@@ -132,7 +132,7 @@ class FramePacker:
         room = self._capacity[priority]
         while used > room:
             self.refused += 1
-            if priority is not Priority.CONTROL or not queue:
+            if priority is not Priority.FAST_TELEMETRY or not queue:
                 return False
             used -= len(queue.popleft())
             self._pieces[priority].clear()

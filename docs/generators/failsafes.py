@@ -14,11 +14,11 @@ from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_HEIGHT_MI
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
     CURVE,
-    FLOOR_MAX,
     IDLE_SHARE,
     REST_FORCE,
     REST_SPEED,
     REST_US,
+    THRUST_FLOOR_MAX,
 )
 from trimtab.firmware_model.flight.setpoints import SHORTEST_S
 from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
@@ -47,7 +47,7 @@ _BEHIND = """
   next arming.
 - `FC_STATUS.conditions` has bit k set while a row of TRIMTAB_FAILSAFE k is active, on the floor too.
 - If the action is to land in place during a landing, the landing continues. Armed on the floor, every
-  failure disarms. In standby, the same conditions refuse arming.
+  failure disarms. In standby, most of these conditions refuse arming.
 - "In place" is where the reference stops. A vehicle that is pushed away from there returns when the push
   ends. The distance is the acceleration of the push over POS_P, with the default 0.17 m for each m/s^2.
 - "Level descent" keeps attitude and sink rate, not position. The rotors stop when something carries the
@@ -149,7 +149,7 @@ def page() -> str:
                 force=REST_FORCE,
                 askew=_default("ARM_ASKEW_DEG"),
                 idle=IDLE_SHARE,
-                floor=FLOOR_MAX,
+                floor=THRUST_FLOOR_MAX,
                 low=CURVE[0],
                 high=CURVE[1],
                 interval=INTERVAL_MAX_S,

@@ -78,7 +78,7 @@ class Observation(NamedTuple):
 class ConditionMonitor:
     """Evaluates which conditions of the failsafe table have lasted for their times, by timestamps.
 
-    `pose_us`, `host_us`, `setpoint_us`: times of the last pose used, host message and setpoint.
+    `pose_us`, `host_us`, `setpoint_us`: times of the last pose used, ground station message and setpoint.
     """
 
     def __init__(self, parameters: ParameterValues) -> None:
@@ -171,10 +171,13 @@ class ConditionMonitor:
         }
         return [row for row, timeout_us in self._timeouts if now_us - since[row.event] > timeout_us]
 
-    def has_landed(self, now_us: int, *, height: float, speed: float, descending: bool) -> bool:
-        """Return whether a vehicle with known height (m) and speed (m/s) has landed."""
+    def update_touchdown(self, now_us: int, *, height: float, speed: float, reference_below: bool) -> bool:
+        """Update the detection of touchdown by height (m) and speed (m/s); return whether it has happened.
+
+        reference_below: whether the reference is more than 5 cm below the vehicle.
+        """
         stopped = self._touch_lasted(
-            now_us, descending and height < self._land_height and speed < self._stop_speed
+            now_us, reference_below and height < self._land_height and speed < self._stop_speed
         )
         return stopped or height < FLOOR_HEIGHT
 
@@ -186,13 +189,16 @@ class ConditionMonitor:
         ratio = min(max(force / max(thrust, 1.0), 0.5), 2.0)
         self.thrust_ratio += share * (ratio - self.thrust_ratio)
 
-    def is_supported(self, now_us: int, *, force: float, thrust: float, floor: float, learn: bool) -> bool:
-        """Return whether the floor supports the vehicle: force over mass (m/s^2, up) exceeds thrust.
+    def update_support(
+        self, now_us: int, *, force: float, thrust: float, expected_excess: float, learn: bool
+    ) -> bool:
+        """Update with force and thrust over mass (m/s^2, up); return whether the floor carries the vehicle.
 
-        floor: excess of the force on a floor. learn: whether a slow change of the excess updates the thrust
-        ratio. Such changes come from air at other heights, a tether that slackens, or ground effect.
+        expected_excess: how far force exceeds thrust (m/s^2) once the floor carries the vehicle. learn:
+        whether a slow change of the excess updates the thrust ratio. Such changes come from air at other
+        heights, a tether that slackens, or ground effect.
         """
-        bound = min(max(0.5 * floor, TOUCH_FORCE), TOUCH_FORCE_MAX)
+        bound = min(max(0.5 * expected_excess, TOUCH_FORCE), TOUCH_FORCE_MAX)
         touching = force - self.thrust_ratio * thrust > bound
         if learn and not touching:
             self.update_thrust_ratio(force=force, thrust=thrust, share=_DESCENT_GAIN)

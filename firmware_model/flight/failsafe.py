@@ -2,7 +2,7 @@
 
 If a condition lasts for its time, its event goes to the supervisor. If that leads into FAILSAFE, the vehicle
 takes the action of the row. Actions are ranked: an active action is replaced only by a higher one. On the
-floor the same conditions refuse arming or disarm the vehicle.
+floor the conditions disarm an armed vehicle; most of them also refuse arming (`readiness.CHECKS`).
 """
 
 from __future__ import annotations
@@ -24,7 +24,10 @@ class Action(IntEnum):
 
 
 class Failsafe(IntEnum):
-    """Failure that ended the flight. FC_STATUS reports its value until the next arming."""
+    """Last failure that disarmed the vehicle or led into FAILSAFE.
+
+    FC_STATUS reports its value until the next arming.
+    """
 
     NONE = 0
     MOCAP_LOST = 1
@@ -44,13 +47,14 @@ class Condition:
     Parameters
     ----------
     failsafe, event, action
-        Reported failure, event for the supervisor, and action in FAILSAFE.
+        Reported failure, event for the supervisor, and action; HOLD is the state HOLD, without FAILSAFE.
     description
         The condition.
     bound, timeout
         Names of the parameters with its bound and its time (s).
     lasting
-        Whether the condition must last for its time. Otherwise it is measured over that time.
+        True: the condition must hold for `timeout`. False: `timeout` is the filter time or counting window,
+        and the event follows at once.
     rationale
         Reason for the action.
     clears
@@ -102,18 +106,18 @@ CONDITIONS: tuple[Condition, ...] = (
         timeout="FS_MOCAP_S",
         action=Action.LEVEL_DESCENT,
         rationale="the position estimate is unreliable after a second, the attitude estimate is not",
-        clears="a pose in time; afterwards the next arming",
+        clears="before the timeout: a pose; after it: the next arming",
         text="mocap lost: descending level",
     ),
     Condition(
         failsafe=Failsafe.MOCAP_LOST,
         event=Event.MOCAP_LATE,
-        description="age of the newest pose used above the bound",
+        description="the newest pose used is older than the bound",
         bound="FS_AGE_S",
         timeout="FS_LATE_S",
         action=Action.LAND_IN_PLACE,
         rationale="position is known, but late: short gaps are harmless, a permanent delay is not",
-        clears="a recent pose in time; afterwards the next arming",
+        clears="before the timeout: a recent pose; after it: the next arming",
         text="mocap late: landing in place",
     ),
     Condition(
@@ -124,7 +128,7 @@ CONDITIONS: tuple[Condition, ...] = (
         timeout="FS_FENCE_S",
         action=Action.LAND_IN_PLACE,
         rationale="the cause may take the vehicle further; the way back may lead through people",
-        clears="a return in time; afterwards the next arming",
+        clears="before the timeout: a return; after it: the next arming",
         text="outside the fence: landing in place",
     ),
     Condition(
@@ -134,13 +138,13 @@ CONDITIONS: tuple[Condition, ...] = (
         timeout="FS_SAT_S",
         action=Action.LAND_IN_PLACE,
         rationale="the rotors cannot meet the demand; a descent demands less",
-        clears="an end of the saturation in time; afterwards the next arming",
+        clears="before the timeout: an end of the saturation; after it: the next arming",
         text="motors saturated: landing in place",
     ),
     Condition(
         failsafe=Failsafe.BATTERY_LOW,
         event=Event.BATTERY_LOW,
-        description="smoothed voltage below this share between BAT_EMPTY_V and BAT_FULL_V",
+        description="smoothed voltage below BAT_EMPTY_V + bound (BAT_FULL_V - BAT_EMPTY_V)",
         bound="FS_BAT_SHARE",
         timeout="FS_BAT_S",
         lasting=False,
@@ -164,11 +168,11 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition(
         failsafe=Failsafe.LINK_LOST,
         event=Event.LINK_LOST,
-        description="no message from a host, poses excepted",
+        description="no message from any ground station, poses excepted",
         timeout="FS_LINK_S",
         action=Action.LAND_IN_PLACE,
         rationale="position is known, so a landing in place is safe",
-        clears="a message in time; afterwards the next arming",
+        clears="before the timeout: a message; after it: the next arming",
         text="link lost: landing in place",
     ),
     Condition(

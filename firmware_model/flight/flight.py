@@ -1,4 +1,4 @@
-"""One flight: control law, supervisor and failsafes, tick by tick, independent of bytes and messages.
+"""Flight logic from power-up to power-off: law, supervisor and failsafes, tick by tick, without messages.
 
 Inputs are events, poses and sensor samples. Messages for people are in `texts`.
 """
@@ -17,7 +17,7 @@ from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, 
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.gate import CommandGate
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, Phases, Present
+from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, Phases, ReferenceState
 from trimtab.firmware_model.flight.readiness import StillnessDetector
 from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
@@ -33,20 +33,20 @@ UPDATE_TICKS = 10
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
-"""States in which the disturbance observer keeps running. It starts in TRACKING, or once the vehicle is well
-above the floor, also in a take-off. In a landing its estimate stays constant, because it would interpret the
-floor as a disturbance."""
+"""Entering one of these states leaves the disturbance observer as it is; entering any other stops it. It is
+started on entry to TRACKING, and in any flying state except LANDING and FAILSAFE above 2 LAND_HEIGHT. While
+it is stopped its estimate is constant: in a landing it would interpret the floor as a disturbance."""
 _END = {
     State.TRACKING: Event.REFERENCE_ENDED,
     State.HOLD: Event.HELD,
     State.LANDING: Event.TOUCHDOWN,
     State.FAILSAFE: Event.TOUCHDOWN,
 }
-"""Event at the end of the track of a state. For descents it is the timeout of the touchdown."""
+"""Event at the end of a state's track. For descents this is the latest touchdown; then the motors stop."""
 
 
 class Flight:
-    """One power-up of the flight processor.
+    """Flight logic of one power-up; one object sees many flights. For a power cycle, build a new one.
 
     Parameters
     ----------
@@ -61,7 +61,7 @@ class Flight:
         Track to fly (or None) and feed-forward. Both may be replaced in standby. `swap` replaces the
         reference in flight.
     changed
-        Set on a change of state or failsafe; the reader of FC_STATUS resets it.
+        Set when FC_STATUS must be sent at once; whoever sends FC_STATUS resets it.
     conditions
         Active rows of the failsafe table at the last update, bit k for Failsafe k.
     texts
@@ -91,7 +91,7 @@ class Flight:
         self._observing = inputs["observing"]
         self._law_parameters = inputs["parameters"]
         self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
-        self._climb_end = Event.CLIMBED
+        self._takeoff_end = Event.START_REACHED
         self.feedforward = FeedForwardInput(inputs["feedforward"], inputs["ff_accel_ned"])
         self._phases = Phases(
             inputs,
@@ -150,8 +150,8 @@ class Flight:
 
     # Commands and measurements.
 
-    def command(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Apply a command; return why it was refused, or None.
+    def handle_event(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
+        """Apply an event, a command or the end of a phase; return why it was refused, or None.
 
         height_m: height of a take-off; TAKEOFF_HEIGHT by default.
         """
@@ -161,7 +161,7 @@ class Flight:
             now_us,
             state=self.state,
             reference=self.reference,
-            climbing=self._climb_end is Event.CLIMBED,
+            to_reference=self._takeoff_end is Event.START_REACHED,
             flown=self.tracking_us is not None,
         )
         if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
@@ -184,11 +184,11 @@ class Flight:
         return self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
 
     def host_heard(self, now_us: int) -> None:
-        """Record that a host message arrived."""
+        """Record that a message from any ground station arrived."""
         self.monitor.host_us = now_us
 
     def configure(self) -> None:
-        """Configure the law and the failsafes from the present parameters."""
+        """Configure the law and the failsafes from the current parameters."""
         self._law_parameters[:] = memoryview(self.parameters.vector)
         self.monitor.configure(self.parameters)
 
@@ -230,7 +230,7 @@ class Flight:
             self.feedforward.update(self.outputs["reference"])
         if state is State.BOOT:
             if now_us >= BOOT_US:
-                self.command(Event.BOOTED, now_us)
+                self.handle_event(Event.BOOTED, now_us)
             return
         self._observe(now_us, battery_v)
         active = self.monitor.active_conditions()
@@ -249,14 +249,14 @@ class Flight:
         self._update_state(now_us)
 
     def _update_state(self, now_us: int) -> None:
-        """Disarm an idle vehicle, detect touchdown, and estimate the thrust ratio in the air."""
+        """Disarm if idle, detect touchdown; in the air update the thrust ratio and start the observer."""
         if self.state is State.ARMED and now_us - self.state_us > self.parameters.us("IDLE_S"):
             self._report(_INFO, "disarmed: nothing started")
-            self.command(Event.IDLED, now_us)
+            self.handle_event(Event.IDLED, now_us)
         elif self.state in (State.LANDING, State.FAILSAFE):
-            if self._has_landed(now_us):
-                self.command(Event.TOUCHDOWN, now_us)
-        elif self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
+            if self._update_descent(now_us):
+                self.handle_event(Event.TOUCHDOWN, now_us)
+        elif self._flying and self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
             if self._cos_tilt[0] > LEVEL:
                 self.monitor.update_thrust_ratio(force=-self._force[2], thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0
@@ -286,28 +286,28 @@ class Flight:
         self.monitor.start(now_us)
         self.monitor.setpoint_us = self._offboard.setpoint_us if state is State.OFFBOARD else NEVER_US
         phases = self._phases
-        present = phases.present(now_us)
+        reference_state = phases.reference_state(now_us)
         self._offboard.release()
         if state is State.STANDBY:
             self._stand_by(before, now_us)
         elif state is State.ARMED:
             self._arm()
         elif state is State.TAKEOFF:
-            self._climb_end = Event.CLIMBED if event is Event.START else Event.RISEN
-            self._climb(before, present, height_m, now_us)
+            self._takeoff_end = Event.START_REACHED if event is Event.START else Event.HEIGHT_REACHED
+            self._climb(before, reference_state, height_m, now_us)
         elif state is State.TRACKING and self.reference is not None:
             self.tracking_us = now_us
             self._player.start(self.reference, now_us)
         elif state is State.HOLD:
-            self._hold(event, present, now_us)
+            self._hold(event, reference_state, now_us)
         elif state is State.OFFBOARD:
             if before is State.ARMED:
                 phases.lift_off(now_us)
             else:
-                phases.stop(present, now_us)
+                phases.stop(reference_state, now_us)
             phases.follow(now_us)
         elif state is State.LANDING:
-            phases.land(present, now_us)
+            phases.land(reference_state, now_us)
 
     def _stand_by(self, before: State, now_us: int) -> None:
         """Stop the rotors and restart the detection of stillness."""
@@ -326,30 +326,30 @@ class Flight:
         if self.reference is None:
             self._report(_WARNING, "no live reference: start will be refused")
 
-    def _hold(self, event: Event, present: Present, now_us: int) -> None:
-        """Hold at the end of the reference, or stop here: for a limited time after a loss of setpoints."""
+    def _hold(self, event: Event, reference_state: ReferenceState, now_us: int) -> None:
+        """Hold at the reference's end for HOLD_S, or stop here: after lost setpoints for FS_OFFB_HOLD_S."""
         if event is Event.REFERENCE_ENDED and self.reference is not None:
             self._phases.hold_end(self.reference, now_us)
             return
         lost = event is Event.SETPOINTS_LOST
-        self._phases.stop(present, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
+        self._phases.stop(reference_state, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)
 
-    def _climb(self, before: State, present: Present, height_m: float | None, now_us: int) -> None:
+    def _climb(self, before: State, start: ReferenceState, height_m: float | None, now_us: int) -> None:
         """Climb to a height or to the first node of the reference, from the floor or in the air."""
         phases, reference = self._phases, self.reference
-        if self._climb_end is Event.RISEN:
+        if self._takeoff_end is Event.HEIGHT_REACHED:
             phases.rise(height_m, now_us)
             return
         assert reference is not None, "a start without a reference is refused"
         if before is State.ARMED:
             phases.climb_to(reference, now_us)
         else:
-            phases.go_to_start(reference, present, now_us)
+            phases.go_to_start(reference, start, now_us)
 
     # Failsafes and touchdown.
 
     def _trigger(self, condition: Condition, now_us: int) -> None:
-        """Send the event of a condition to the supervisor; take its action if it outranks the present one."""
+        """Send the event of a condition to the supervisor; take its action if it outranks the active one."""
         if self.state is State.FAILSAFE and condition.action <= self.action:
             return
         outcome = update(self.state, condition.event)
@@ -363,48 +363,48 @@ class Flight:
         if self.failsafe is Failsafe.NONE:
             self.failsafe = condition.failsafe
         phases = self._phases
-        present = phases.present(now_us)
+        reference_state = phases.reference_state(now_us)
         if self.state is not State.FAILSAFE:
             self._enter(State.FAILSAFE, condition.event, now_us)
         self.changed = True
         self.action = escalate(self.action, condition)
         if self.action is Action.LAND_IN_PLACE:
-            phases.land(present, now_us)
+            phases.land(reference_state, now_us)
         elif self.action is Action.LEVEL_DESCENT:
-            _, (yaw, _) = present
-            phases.descend_level(yaw, self.monitor.thrust_ratio, now_us)
+            phases.descend_level(reference_state[1][0], self.monitor.thrust_ratio, now_us)
         elif self.action is Action.MOTORS_OFF:
             phases.fall(now_us)
 
     def _track_ended(self, now_us: int) -> None:
-        event = self._climb_end if self.state is State.TAKEOFF else _END.get(self.state)
+        event = self._takeoff_end if self.state is State.TAKEOFF else _END.get(self.state)
         if event is None:
             return
         if event in BY_EVENT:
             self._report(_INFO, BY_EVENT[event].text)
         elif event is Event.TOUCHDOWN and self.action is not Action.MOTORS_OFF:
             self._report(_WARNING, "no touchdown detected: motors off")
-        self.command(event, now_us)
+        self.handle_event(event, now_us)
 
-    def _has_landed(self, now_us: int) -> bool:
+    def _update_descent(self, now_us: int) -> bool:
+        """Update the detection of touchdown and the feedback of a descent; return whether it has landed."""
         if self.action is Action.MOTORS_OFF:
             return False
         memory = self._memory
         if self.action is Action.LEVEL_DESCENT:
             phases, monitor = self._phases, self.monitor
             phases.go_blind(monitor.thrust_ratio, now_us)
-            return monitor.is_supported(
+            return monitor.update_support(
                 now_us,
                 force=-self._force[2],
                 thrust=phases.lagged_thrust,
-                floor=phases.floor_force,
+                expected_excess=phases.floor_force,
                 learn=not phases.blind,
             )
-        return self.monitor.has_landed(
+        return self.monitor.update_touchdown(
             now_us,
             height=self.height_m,
             speed=math.hypot(memory[3], memory[4], memory[5]),
-            descending=self.outputs["reference"][2] > memory[2] + 0.05,
+            reference_below=self.outputs["reference"][2] > memory[2] + 0.05,
         )
 
     def _take_pose(self, now_us: int) -> bool:

@@ -47,21 +47,32 @@ class CommandGate:
         self._cos_tilt = cos_tilt
 
     def refusal(
-        self, event: Event, now_us: int, *, state: State, reference: Track | None, climbing: bool, flown: bool
+        self,
+        event: Event,
+        now_us: int,
+        *,
+        state: State,
+        reference: Track | None,
+        to_reference: bool,
+        flown: bool,
     ) -> str | None:
         """Return why a command that the state machine allows is refused, or None.
 
-        climbing: whether a take-off leads to the reference. flown: whether the reference was tracked.
+        to_reference: whether a take-off leads to the reference. flown: whether the reference was tracked.
         """
         if event is Event.ARM and state is State.STANDBY:
             return next(iter(self.arming_reasons(now_us, reference)), None)
         if event is Event.START and state in (State.ARMED, State.TAKEOFF, State.HOLD):
-            rising = state is State.TAKEOFF
-            if rising and climbing:
+            taking_off = state is State.TAKEOFF
+            if taking_off and to_reference:
                 return None  # a repetition of the same command
             battery = self._battery(reference)
-            return start_refusal(reference, rising=rising, flown=flown, battery=battery)
-        if event is Event.TAKEOFF and state is State.ARMED and self._phases.headroom < TAKEOFF_HEIGHT_MIN:
+            return start_refusal(reference, to_hover=taking_off, flown=flown, battery=battery)
+        if (
+            event is Event.TAKEOFF
+            and state is State.ARMED
+            and self._phases.ceiling_distance < TAKEOFF_HEIGHT_MIN
+        ):
             return f"fence less than {TAKEOFF_HEIGHT_MIN:g} m above"
         if event is Event.OFFBOARD and not self._phases.offboard.is_receiving(now_us):
             return "no setpoints: stream them first"

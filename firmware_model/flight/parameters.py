@@ -72,7 +72,7 @@ def stored_parameters(
     try:
         return ParameterValues({**values, **settings.values})
     except ValueError:
-        store.faults.append("memory: the set parameters do not fit")
+        store.faults.append("memory: parameters changed by the user do not fit")
     return ParameterValues(values)
 
 

@@ -1,7 +1,7 @@
 """Phases of a flight: tracks and engine settings of take-off, hold, setpoints, landings and rest.
 
-Each phase starts at the reference of the previous one, so the reference never jumps. `Flight` decides on the
-state of the vehicle.
+Stops, landings, transits and setpoints start at the present reference, so it does not jump. Take-off and
+level descent start at the estimate. `Flight` decides on the state of the vehicle.
 """
 
 from __future__ import annotations
@@ -27,14 +27,15 @@ from trimtab.protocol.telemetry import TICK_US
 FALL_US = 2_000_000
 """Time from a stop of the rotors in the air to the end of the failsafe."""
 START_ACCEL_MAX = 8.0
-"""Greatest initial acceleration (m/s^2) of a reference that follows a commanded attitude."""
+"""Greatest initial acceleration (m/s^2) of a reference that takes over after a directly commanded
+attitude."""
 
 TAKEOFF_HEIGHT_MIN = BY_NAME["TAKEOFF_HEIGHT"].min
 """Least height (m) of a take-off."""
 CLEAR_HEIGHT = 0.15
 """Height (m) above the floor below which the vehicle only climbs vertically, so it does not drag its feet."""
 
-Present = tuple[braking.Node, track.YawState]
+ReferenceState = tuple[braking.Node, track.YawState]
 """State (p, v, a, j) of the reference, and its yaw and yaw rate."""
 
 
@@ -42,7 +43,7 @@ _REST = (0.0,) * 9
 
 
 class Phases:
-    """Writes the engine's blocks for the reference and for the rotors.
+    """Writes the engine's blocks for the reference and for the rotors (`armed`: 1 while the rotors are on).
 
     Parameters
     ----------
@@ -91,7 +92,7 @@ class Phases:
 
     @property
     def rotors_on(self) -> bool:
-        """Whether the law drives the rotors."""
+        """Whether the law drives the rotors (block `armed`)."""
         return self._armed[0] > 0.5
 
     @property
@@ -100,18 +101,22 @@ class Phases:
         return self._collective[0] / self._parameters["MASS"]
 
     @property
-    def headroom(self) -> float:
+    def ceiling_distance(self) -> float:
         """Distance (m) from the vehicle up to the ceiling of the flight volume."""
         return self._memory[2] - self._parameters["FENCE_D_MIN"]
 
     @property
     def lagged_thrust(self) -> float:
-        """Thrust over mass (m/s^2) of the rotors with nominal gain and lag."""
+        """Commanded thrust over mass (m/s^2) after the nominal rotor lag."""
         return self._memory[law.OBSERVER_THRUST.start] / self._parameters["MASS"]
 
     @property
     def blind(self) -> bool:
-        """Whether velocity feedback is off. Thrust then decreases slowly, also on the floor."""
+        """Whether velocity feedback is off.
+
+        Thrust then decreases within a second to SINK below hover, whatever the vehicle does, even on the
+        floor.
+        """
         return self._weights[1] == 0.0
 
     @property
@@ -120,7 +125,7 @@ class Phases:
         values = self._parameters
         return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
 
-    def present(self, now_us: int) -> Present:
+    def reference_state(self, now_us: int) -> ReferenceState:
         """Return the present reference, or the state of the vehicle while attitude is commanded."""
         if not self.offboard.direct:
             reference = self.player.reference(now_us)
@@ -138,7 +143,7 @@ class Phases:
     # Floor and take-off.
 
     def stop_rotors(self, now_us: int) -> None:
-        """Stop the rotors on the floor."""
+        """Stop the rotors in standby, also after a kill in the air."""
         self._armed[0] = 0.0
         self._weights[0] = self._weights[1] = 1.0
         self._blind_until_us = NEVER_US
@@ -151,7 +156,7 @@ class Phases:
 
     def rise(self, height_m: float | None, now_us: int) -> None:
         """Take off to this height above the floor, by default TAKEOFF_HEIGHT."""
-        p, height_max = self._position(), self.headroom
+        p, height_max = self._position(), self.ceiling_distance
         height = self._parameters["TAKEOFF_HEIGHT"] if height_m is None else height_m
         if height > height_max:
             self._report(f"takeoff bounded by the fence: {height_max:.2f} m")
@@ -185,10 +190,10 @@ class Phases:
 
     # In the air.
 
-    def go_to_start(self, reference: track.Track, present: Present, now_us: int) -> None:
-        """Go to the reference's first node and hover; from the floor, climb first."""
+    def go_to_start(self, reference: track.Track, reference_state: ReferenceState, now_us: int) -> None:
+        """Go to the reference's first node and hover; below CLEAR_HEIGHT, climb vertically first."""
         values = self._parameters
-        state, yaw = present
+        state, yaw = reference_state
         path = track.transit(
             braking.braked(state, values["LAND_DECEL"], self._room()),
             yaw,
@@ -196,7 +201,7 @@ class Phases:
             reference.start_yaw,
             speed=values["TAKEOFF_SPEED"],
             hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
-            upright=self._is_low(present[0]),
+            upright=self._is_low(reference_state[0]),
         )
         self.player.start(path, now_us)
 
@@ -205,11 +210,11 @@ class Phases:
         hold_us = max(TICK_US, braking.seconds_us(self._parameters["HOLD_S"]))
         self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
 
-    def stop(self, present: Present, now_us: int, hold_s: float | None = None) -> None:
+    def stop(self, reference_state: ReferenceState, now_us: int, hold_s: float | None = None) -> None:
         """Stop and hold, for `hold_s` or until another command."""
         hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, braking.seconds_us(hold_s))
         deceleration = self._parameters["LAND_DECEL"]
-        path = track.stop(*present, deceleration=deceleration, room=self._room(), hold_us=hold_us)
+        path = track.stop(*reference_state, deceleration=deceleration, room=self._room(), hold_us=hold_us)
         self.player.start(path, now_us)
 
     def follow(self, now_us: int) -> None:
@@ -222,7 +227,7 @@ class Phases:
             return
         if target == offboard.followed and target.is_stationary:
             return
-        node, yaw = self.present(now_us)
+        node, yaw = self.reference_state(now_us)
         offboard.release()
         target_ned = to_ned(target, self._yaw())
         if self._is_low(node):
@@ -237,11 +242,11 @@ class Phases:
 
     # Descent.
 
-    def land(self, present: Present, now_us: int) -> None:
+    def land(self, reference_state: ReferenceState, now_us: int) -> None:
         """Stop and descend vertically."""
         values = self._parameters
         descent = track.land(
-            *present,
+            *reference_state,
             floor=self.floor,
             speed=values["LAND_SPEED"],
             deceleration=values["LAND_DECEL"],
@@ -250,7 +255,7 @@ class Phases:
         self.player.start(descent, now_us)
 
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
-        """Hold attitude and sink rate without position feedback.
+        """Descend by velocity feedback only, after FS_BLIND_S without any.
 
         thrust_ratio: actual over nominal thrust, estimated while position was known.
         """

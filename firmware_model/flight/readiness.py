@@ -24,9 +24,10 @@ REST_SPEED = 0.5
 REST_FORCE = 2.0
 """Greatest deviation of the specific force's magnitude from g (m/s^2) at rest; STILL_FORCE is stricter."""
 IDLE_SHARE = 0.5
-"""Greatest idle thrust of the rotors as a share of the weight: the vehicle can descend and keep control."""
-FLOOR_MAX = 0.7
-"""Greatest THRUST_FLOOR: the vehicle can descend."""
+"""Greatest idle thrust of the rotors as a share of the weight: with more, the vehicle could not descend and
+keep control."""
+THRUST_FLOOR_MAX = 0.7
+"""Greatest THRUST_FLOOR: with more, the vehicle could not descend."""
 CURVE = (0.8, 1.25)
 """Bounds of THRUST_C1 + THRUST_C2, the thrust at full command over THRUST_MAX."""
 _FORCE_GAIN = 0.05  # of the smoothed specific force in each update: a time constant of 0.2 s
@@ -210,8 +211,8 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
         return "MASS too great for THRUST_MAX"
     if not 4.0 * parameters["THRUST_MIN"] < IDLE_SHARE * parameters["MASS"] * GRAVITY:
         return "THRUST_MIN too great for MASS"
-    if not parameters["THRUST_FLOOR"] <= FLOOR_MAX:
-        return f"THRUST_FLOOR above {FLOOR_MAX:g}"
+    if not parameters["THRUST_FLOOR"] <= THRUST_FLOOR_MAX:
+        return f"THRUST_FLOOR above {THRUST_FLOOR_MAX:g}"
     low, high = CURVE
     if not low <= parameters["THRUST_C1"] + parameters["THRUST_C2"] <= high:
         return "THRUST_C1 + THRUST_C2 is not near 1"
@@ -222,13 +223,13 @@ def contradiction(parameters: Mapping[str, float]) -> str | None:
     return None
 
 
-def start_refusal(reference: Track | None, *, rising: bool, flown: bool, battery: str | None) -> str | None:
+def start_refusal(reference: Track | None, *, to_hover: bool, flown: bool, battery: str | None) -> str | None:
     """Return why the live reference may not be flown, or None.
 
-    rising: whether a take-off to a hover is in progress. flown: whether the reference was flown since the
+    to_hover: whether a take-off to a hover is in progress. flown: whether the reference was flown since the
     last arming. battery: as in `ArmingState`.
     """
-    if rising:
+    if to_hover:
         return "still taking off"
     if flown:
         return "flown already: land, then arm again"

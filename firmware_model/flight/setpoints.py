@@ -1,8 +1,9 @@
 """Setpoints of a stream, and the track from the present reference to a setpoint.
 
 Every setpoint of position or velocity becomes a short polynomial that starts at the present position,
-velocity, acceleration and jerk of the reference, so the reference never jumps. Without a newer setpoint the
-track continues as the setpoint states. At a constant rate this filters the stream: a moving position is
+velocity, acceleration and jerk of the reference, so the reference never jumps. It ends with the velocity and
+acceleration that the setpoint gives. Without a newer setpoint the acceleration then ends within RENEWAL_S and
+the velocity stays. If setpoints arrive at a constant rate, this filters the stream: a moving position is
 followed with a delay of 0.29 s, or without delay if the setpoint includes its velocity.
 """
 

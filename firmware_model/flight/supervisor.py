@@ -1,5 +1,6 @@
-"""Supervisor of the flight: a table of transitions. Every event in every state moves it or is refused.
+"""Supervisor of the flight: a table of transitions.
 
+In every state, every event is either accepted and gives the next state (possibly the same) or refused.
 The table is data and `update` is a pure function. The table is checked when it is built: no pair is missing,
 only a power-up leads into BOOT, and a failure in the air leads into FAILSAFE or is refused.
 """
@@ -18,7 +19,7 @@ class State(IntEnum):
     BOOT = 0
     STANDBY = 1
     ARMED = 2
-    TAKEOFF = 3
+    TAKEOFF = 3  # climb, or way to the first node
     TRACKING = 4
     HOLD = 5
     LANDING = 6
@@ -32,7 +33,7 @@ class Event(IntEnum):
     BOOTED = 0
     # Commands.
     ARM = 1
-    START = 2
+    START = 2  # fly the live reference
     TAKEOFF = 3
     HOLD = 4
     OFFBOARD = 5
@@ -40,13 +41,13 @@ class Event(IntEnum):
     DISARM = 7
     KILL = 8
     # Ends of phases.
-    CLIMBED = 9  # at the first node of the reference
-    RISEN = 10  # at the height of a takeoff
+    START_REACHED = 9  # at the first node of the reference
+    HEIGHT_REACHED = 10  # at the height of a takeoff
     REFERENCE_ENDED = 11
     SETPOINTS_LOST = 12
-    HELD = 13
+    HELD = 13  # end of a limited hold
     TOUCHDOWN = 14
-    IDLED = 15
+    IDLED = 15  # armed for IDLE_S
     # Failures.
     TILTED = 16
     IMU_STUCK = 17
@@ -84,30 +85,30 @@ _ENDING = "a failsafe ends the flight"
 
 _S, _E = State, Event
 _Row = dict[Event, State | str]
-_IDLE: _Row = {
+_NO_PHASE: _Row = {
     _E.BOOTED: "booted already",
-    _E.CLIMBED: "no climb under way",
-    _E.RISEN: "no climb under way",
+    _E.START_REACHED: "no climb under way",
+    _E.HEIGHT_REACHED: "no climb under way",
     _E.REFERENCE_ENDED: "no reference is being flown",
     _E.SETPOINTS_LOST: "no setpoints are being followed",
     _E.HELD: "not holding",
     _E.TOUCHDOWN: "not landing",
     _E.IDLED: "not waiting on the floor",
 }
-"""Refusals of the ends of inactive phases. The row of each state overrides those of its active phase."""
-_UNHARMED: _Row = dict.fromkeys(FAILURES, _GROUNDED)
-_FAILING: _Row = dict.fromkeys(FAILURES, _S.FAILSAFE)
+"""By default every end-of-phase event is refused; each state overrides the events of its own phase."""
+_FAILURES_IGNORED: _Row = dict.fromkeys(FAILURES, _GROUNDED)
+_FAILURES_TO_FAILSAFE: _Row = dict.fromkeys(FAILURES, _S.FAILSAFE)
 
 _ROWS: dict[State, _Row] = {
     _S.BOOT: {
-        **_IDLE,
+        **_NO_PHASE,
         **dict.fromkeys(COMMANDS, _BOOTING),
-        **_UNHARMED,
+        **_FAILURES_IGNORED,
         _E.BOOTED: _S.STANDBY,
     },
     _S.STANDBY: {
-        **_IDLE,
-        **_UNHARMED,
+        **_NO_PHASE,
+        **_FAILURES_IGNORED,
         _E.ARM: _S.ARMED,
         _E.START: _ARM_FIRST,
         _E.TAKEOFF: _ARM_FIRST,
@@ -118,7 +119,7 @@ _ROWS: dict[State, _Row] = {
         _E.KILL: _S.STANDBY,
     },
     _S.ARMED: {
-        **_IDLE,
+        **_NO_PHASE,
         **dict.fromkeys(FAILURES, _S.STANDBY),
         _E.ARM: _S.ARMED,
         _E.START: _S.TAKEOFF,
@@ -131,8 +132,8 @@ _ROWS: dict[State, _Row] = {
         _E.IDLED: _S.STANDBY,
     },
     _S.TAKEOFF: {
-        **_IDLE,
-        **_FAILING,
+        **_NO_PHASE,
+        **_FAILURES_TO_FAILSAFE,
         _E.ARM: _S.TAKEOFF,
         _E.START: _S.TAKEOFF,
         _E.TAKEOFF: _S.TAKEOFF,
@@ -141,12 +142,12 @@ _ROWS: dict[State, _Row] = {
         _E.LAND: _S.LANDING,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
-        _E.CLIMBED: _S.TRACKING,
-        _E.RISEN: _S.HOLD,
+        _E.START_REACHED: _S.TRACKING,
+        _E.HEIGHT_REACHED: _S.HOLD,
     },
     _S.TRACKING: {
-        **_IDLE,
-        **_FAILING,
+        **_NO_PHASE,
+        **_FAILURES_TO_FAILSAFE,
         _E.ARM: _S.TRACKING,
         _E.START: _S.TRACKING,
         _E.TAKEOFF: _IN_AIR,
@@ -158,8 +159,8 @@ _ROWS: dict[State, _Row] = {
         _E.REFERENCE_ENDED: _S.HOLD,
     },
     _S.HOLD: {
-        **_IDLE,
-        **_FAILING,
+        **_NO_PHASE,
+        **_FAILURES_TO_FAILSAFE,
         _E.ARM: _S.HOLD,
         _E.START: _S.TAKEOFF,
         _E.TAKEOFF: _IN_AIR,
@@ -171,8 +172,8 @@ _ROWS: dict[State, _Row] = {
         _E.HELD: _S.LANDING,
     },
     _S.OFFBOARD: {
-        **_IDLE,
-        **_FAILING,
+        **_NO_PHASE,
+        **_FAILURES_TO_FAILSAFE,
         _E.ARM: _S.OFFBOARD,
         _E.START: "following setpoints: hold first",
         _E.TAKEOFF: _IN_AIR,
@@ -184,8 +185,8 @@ _ROWS: dict[State, _Row] = {
         _E.SETPOINTS_LOST: _S.HOLD,
     },
     _S.LANDING: {
-        **_IDLE,
-        **_FAILING,
+        **_NO_PHASE,
+        **_FAILURES_TO_FAILSAFE,
         _E.ARM: _LANDING,
         _E.START: _LANDING,
         _E.TAKEOFF: _LANDING,
@@ -204,9 +205,9 @@ _ROWS: dict[State, _Row] = {
         _E.FENCE_LEFT: _LANDING_ALREADY,
     },
     _S.FAILSAFE: {
-        **_IDLE,
+        **_NO_PHASE,
         **dict.fromkeys(COMMANDS, _ENDING),
-        **_FAILING,
+        **_FAILURES_TO_FAILSAFE,
         _E.DISARM: _IN_FLIGHT,
         _E.KILL: _S.STANDBY,
         _E.TOUCHDOWN: _S.STANDBY,
@@ -232,7 +233,7 @@ def _checked(rows: Mapping[State, Mapping[Event, State | str]]) -> Mapping[tuple
                 assert state in FLYING, "failsafe is a flying state: on the floor a failure disarms"
                 assert event in FAILURES, "only a failure leads into failsafe"
             elif state in FLYING:
-                assert event not in FAILURES, "a failure in the air leads into failsafe only"
+                assert event not in FAILURES, "an accepted failure in the air leads into failsafe"
     return MappingProxyType(table)
 
 

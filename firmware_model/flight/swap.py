@@ -12,18 +12,18 @@ from trimtab.firmware_model.law.limits import Limits
 from trimtab.firmware_model.law.smoothness import jump_text, jumps
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.messages import UploadResult
-from trimtab.protocol.upload import Agreement, Verdict
+from trimtab.protocol.upload import SwapAnswer, Verdict
 
 AHEAD_US = 100_000
-"""Least time from the agreement to the takeover."""
+"""Least time from the agreement to the swap."""
 
 
 def agree_swap(
     live: Track, blob: Reference, following: Track, *, at_us: int, ahead_us: int, limits: Limits
-) -> Agreement:
+) -> SwapAnswer:
     """Return whether `following`, the track of `blob`, takes over `at_us` after the start of `live`.
 
-    ahead_us: time from now to the takeover.
+    ahead_us: time from now to the swap.
     """
     if ahead_us < AHEAD_US:
         return _too_late(f"the swap is {ahead_us / 1000:.0f} ms ahead, below {AHEAD_US // 1000} ms", ahead_us)
@@ -38,16 +38,16 @@ def agree_swap(
     if jump is not None:
         text, value, bound = jump
         return _refused(Reason.NOT_CONTINUOUS, 0, value, bound, text)
-    return Agreement()
+    return SwapAnswer()
 
 
-def _refused(reason: int, node: int, value: float, bound: float, text: str) -> Agreement:
+def _refused(reason: int, node: int, value: float, bound: float, text: str) -> SwapAnswer:
     verdict = Verdict(ok=False, node=node, reason=reason, value=value, bound=bound, message=text)
-    return Agreement(result=UploadResult.NOT_CONTINUOUS, verdict=verdict)
+    return SwapAnswer(result=UploadResult.NOT_CONTINUOUS, verdict=verdict)
 
 
-def _too_late(text: str, value_us: int, bound_us: int = AHEAD_US) -> Agreement:
+def _too_late(text: str, value_us: int, bound_us: int = AHEAD_US) -> SwapAnswer:
     verdict = Verdict(
         ok=False, reason=Reason.TOO_LATE, value=value_us * 1e-6, bound=bound_us * 1e-6, message=text
     )
-    return Agreement(result=UploadResult.TOO_LATE, verdict=verdict)
+    return SwapAnswer(result=UploadResult.TOO_LATE, verdict=verdict)

@@ -205,7 +205,8 @@ def stop(state: Node, yaw: YawState, *, deceleration: float, room: Room, hold_us
 def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float, room: Room) -> Track:
     """Return a stop from the reference state (p, v, a, j), then a descent at `speed` to 1 m below `floor`.
 
-    A vehicle at rest descends immediately. The end of the track is a timeout of the touchdown.
+    A vehicle at rest descends immediately. The end of the track is the latest time for a touchdown; after
+    it the motors stop.
     """
     nodes = braked(state, deceleration, room, still=0.05)
     t_us, last = nodes[-1]

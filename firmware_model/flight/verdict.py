@@ -19,7 +19,7 @@ class Reason(IntEnum):
     OTHER_VEHICLE = 101
     OTHER_KIND = 102
     FEEDFORWARD_RANGE = 103
-    NOT_CONTINUOUS = 104  # jump from the present reference at the takeover
+    NOT_CONTINUOUS = 104  # jump from the present reference at the swap
     TOO_LATE = 105
 
 

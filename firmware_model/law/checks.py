@@ -45,7 +45,7 @@ def check_reference(
     """
     refusal = _structure(nodes, yaw_nodes, origin)
     if refusal is None:
-        refusal = _holds(nodes, yaw_nodes, ends_at_rest)
+        refusal = _yaw_rate_at_holds(nodes, yaw_nodes, ends_at_rest)
     if refusal is None and ends_at_rest:
         refusal = check_ends(nodes, limits, origin, ends=(0, len(nodes) - 1))
     if refusal is None:
@@ -107,10 +107,10 @@ def check_ends(
     return None
 
 
-def _holds(
+def _yaw_rate_at_holds(
     nodes: Sequence[Node], yaw_nodes: Sequence[YawNode], ends_at_rest: bool
 ) -> ReferenceVerdict | None:
-    """Return the refusal of a yaw rate that jumps, or None.
+    """Return the refusal of a yaw rate that is not 0 where yaw becomes or stops being constant, or None.
 
     Yaw is constant outside its nodes, and before and after a flight whose ends are at rest.
     """

@@ -1,14 +1,17 @@
 """The differential-flatness-based controller: PD translation, attitude, PID body rate.
 
-    a_cmd   = a_r + K_p (p_r - p) + K_v (v_r - v) - d_ff
-    f       = g e3 - a_cmd                        thrust direction: z_des = f / |f|, heading: yaw_r
-    T       = m max(f . z_B, floor g)
-    w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att e_R,     e_R = 1/2 vee(R_des^T R - R^T R_des)
+    a_cmd   = a_r + s [K_p (p_r - p) + K_v (v_r - v)] - d_ff
+    f       = g e3 - a_cmd                body z: z_des = f / |f|, thrust along -z_des, heading: yaw_r
+    T       = m max(f . z_B, thrust_floor g)
+    w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att (e_R - e_0),
+    e_R     = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
-d_ff is the residual acceleration, predicted or observed. w_f' is the derivative of the body rate after a
-first-order filter. Paper sections III-B and V-B ("a PD translational controller and a PID body rate
-controller"). The functions take the state (I and the filter's state) and return its derivative.
+f is minus the commanded specific force. d_ff is the residual acceleration, predicted plus observed; d_ff' is
+the derivative of the predicted one. s <= 1 scales the feedback down to FEEDBACK_MAX. e_0 is the attitude
+offset in roll and pitch. w_f' is the derivative of the body rate after a first-order filter. Paper sections
+III-B and V-B ("a PD translational controller and a PID body rate controller"). `rate_loop` takes I and the
+filtered rate and returns I'; `step` advances the filter.
 """
 
 from __future__ import annotations
@@ -43,8 +46,8 @@ class Gains(NamedTuple):
     thrust_floor: Any
 
 
-class Reference(NamedTuple):
-    """Flat outputs: p, v, a, j in NED, yaw and yaw rate."""
+class FlatState(NamedTuple):
+    """Flat outputs with their derivatives: p, v, a, j in NED, yaw and yaw rate."""
 
     p: Vector
     v: Vector
@@ -64,7 +67,7 @@ def control(  # noqa: PLR0913 (an equation of many variables)
     rate: Vector,
     rate_filtered: Vector,
     integral: Vector,
-    ref: Reference,
+    ref: FlatState,
     ff_accel: Vector = (0.0, 0.0, 0.0),
     weights: Vector = (1.0, 1.0),
     ff_jerk: Vector = (0.0, 0.0, 0.0),
@@ -88,7 +91,7 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     p: Vector,
     v: Vector,
     R: Vector,
-    ref: Reference,
+    ref: FlatState,
     ff_accel: Vector = (0.0, 0.0, 0.0),
     weights: Vector = (1.0, 1.0),
     ff_jerk: Vector = (0.0, 0.0, 0.0),
@@ -107,7 +110,7 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     weights
         Weights of position and of velocity feedback.
     attitude_offset
-        Roll and pitch of the measured attitude while thrust points in the intended direction.
+        Misalignment: roll and pitch that the poses show when thrust points exactly as intended.
     """
     feedback = [
         weights[0] * gains.position[i] * (ref.p[i] - p[i])
@@ -120,14 +123,14 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     scale = ops.sqrt(bound_squared / ops.maximum(square, bound_squared))
     f = [ff_accel[i] - ref.a[i] - scale * feedback[i] for i in range(3)]
     f[2] = f[2] + GRAVITY
-    at = heading(ops, f, ref.yaw)
+    thrust_axis = heading(ops, f, ref.yaw)
 
     thrust = f[0] * R[2] + f[1] * R[5] + f[2] * R[8]
     collective = model.mass_kg * ops.maximum(thrust, gains.thrust_floor * GRAVITY)
 
-    error = attitude_error(heading_matrix(at), R)
+    error = attitude_error(heading_matrix(thrust_axis), R)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])
-    rate_ff = heading_rates(at, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
+    rate_ff = heading_rates(thrust_axis, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
     return collective, [w - k * e for w, k, e in zip(rate_ff, gains.attitude, error, strict=True)]
 
 

@@ -1,11 +1,11 @@
 """Estimator of position, velocity, attitude and gyro bias from IMU samples and delayed poses.
 
 Prediction is strapdown integration at the base tick. A correction extrapolates the present estimate back to
-the time of the pose, with constant acceleration and body rate, and compares it with the pose. It corrects the
-state at that time: an error of velocity or gyro bias has since changed position or attitude too, and the
-correction includes this. Errors therefore decay in the same way at any age of the poses. The estimator stores
-no history. Gains are continuous rates, multiplied by the time since the last correction, so a model of the
-loop can take the limit of many small corrections.
+the time of the pose, with constant acceleration and body rate, and compares it with the pose. The correction
+applies at the time of the pose and is carried forward to now: a velocity correction also moves position by
+its age, a bias correction the attitude. Errors therefore decay in the same way at any age of the poses. The
+estimator stores no history. Gains are continuous rates, multiplied by the time since the last correction, so
+a model of the loop can take the limit of many small corrections.
 """
 
 from __future__ import annotations

@@ -5,8 +5,9 @@ A feed-forward has one form, or the sum of both. They depend on the reference an
 the estimate. The prediction time is an exception: the estimator adds it to the age of every pose.
 
 Layout of the block: gain (actual over nominal rotor thrust), bias_ned 3 (m/s^2), linear drag 3 (1/s) and
-quadratic drag 3 (1/m) along FRD axes, both positive against the motion, attitude offset 2 (roll and pitch,
-rad: the measured attitude while thrust points in the intended direction), prediction time (s).
+quadratic drag 3 (1/m) along FRD axes, both positive against the motion, attitude offset 2
+(misalignment, rad: roll and pitch that the poses show when thrust points exactly as intended), prediction
+time (s).
 """
 
 from __future__ import annotations

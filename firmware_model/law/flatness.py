@@ -1,9 +1,9 @@
 """Differential flatness: attitude, body rate, thrust and torque from flat outputs and their derivatives.
 
-Without residual forces the rotors' specific force is f = g e3 - a along z_frd (thrust is -z). x_frd lies in
-the vertical plane of the heading, so yaw is the yaw of ZYX Euler angles. The computation uses the heading
-frame: NED rotated by yaw. It is singular only if f lies along the y axis of this frame (a roll of 90
-degrees).
+f = g e3 - a is minus the specific force of the rotors, without residual forces. z_frd points along f, thrust
+along -z_frd. x_frd lies in the vertical plane of the heading, so yaw is the yaw of ZYX Euler angles. The
+computation uses the heading frame: NED rotated by yaw. It is singular only if f lies along the y axis of this
+frame (a roll of 90 degrees).
 
 Sources: paper section III-B; Mellinger and Kumar 2011; Faessler, Franchi and Scaramuzza 2018 (choice of x).
 """
@@ -28,7 +28,7 @@ class Body(NamedTuple):
 
 
 class Heading(NamedTuple):
-    """Direction of the specific force in the heading frame.
+    """Direction of f, minus the specific force, in the heading frame.
 
     z: unit vector along f. n: length of its projection on the plane of x and z. force: |f|. cos, sin: of yaw.
     """
@@ -41,7 +41,7 @@ class Heading(NamedTuple):
 
 
 def heading(ops: Ops, f: Vector, yaw: Scalar) -> Heading:
-    """Return the direction of the specific force f (NED, f = g e3 - a) at this yaw."""
+    """Return the direction of f = g e3 - a (NED), minus the specific force, at this yaw."""
     c, s = ops.cos(yaw), ops.sin(yaw)
     fx, fy, fz = c * f[0] + s * f[1], c * f[1] - s * f[0], f[2]
     square = fx * fx + fz * fz
@@ -51,14 +51,14 @@ def heading(ops: Ops, f: Vector, yaw: Scalar) -> Heading:
     return Heading(z=(fx * per, fy * per, fz * per), n=n, force=force, cos=c, sin=s)
 
 
-def heading_matrix(at: Heading) -> tuple[Scalar, ...]:
+def heading_matrix(thrust_axis: Heading) -> tuple[Scalar, ...]:
     """Return R_ned_frd of this direction, 9 scalars, row-major."""
-    zx, zy, zz = at.z
-    c, s = at.cos, at.sin
-    per = 1.0 / at.n
+    zx, zy, zz = thrust_axis.z
+    c, s = thrust_axis.cos, thrust_axis.sin
+    per = 1.0 / thrust_axis.n
     xx, xz = zz * per, -zx * per
     yx, yz = zy * xz, -zy * xx
-    yy = at.n
+    yy = thrust_axis.n
     return (
         c * xx, c * yx - s * yy, c * zx - s * zy,
         s * xx, s * yx + c * yy, s * zx + c * zy,
@@ -66,25 +66,25 @@ def heading_matrix(at: Heading) -> tuple[Scalar, ...]:
     )  # fmt: skip
 
 
-def heading_rates(at: Heading, f_dot: Vector, yaw_rate: Scalar) -> tuple[Scalar, Scalar, Scalar]:
+def heading_rates(thrust_axis: Heading, f_dot: Vector, yaw_rate: Scalar) -> tuple[Scalar, Scalar, Scalar]:
     """Return the body rate (FRD) that keeps z_frd along f, given f_dot (NED) and the yaw rate."""
-    rate_x, rate_y = _tilt_rates(at, *_to_heading(at, f_dot))
-    per = 1.0 / at.n
-    return rate_x, rate_y, (yaw_rate * at.z[2] * per + rate_y * at.z[1]) * per
+    rate_x, rate_y = _tilt_rates(thrust_axis, *_to_heading(thrust_axis, f_dot))
+    per = 1.0 / thrust_axis.n
+    return rate_x, rate_y, (yaw_rate * thrust_axis.z[2] * per + rate_y * thrust_axis.z[1]) * per
 
 
 def flat_attitude(ops: Ops, a: Vector, yaw: Scalar) -> tuple[tuple[Scalar, ...], Scalar]:
     """Return R_ned_frd (9 scalars) and specific thrust |f| (m/s^2) at an acceleration (NED) and yaw."""
-    at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
-    return heading_matrix(at), at.force
+    thrust_axis = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
+    return heading_matrix(thrust_axis), thrust_axis.force
 
 
 def flat_rates(
     ops: Ops, a: Vector, j: Vector, yaw: Scalar, yaw_rate: Scalar
 ) -> tuple[Scalar, Scalar, Scalar]:
     """Return the body rate (FRD) at acceleration `a` and jerk `j` (NED), yaw and yaw rate."""
-    at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
-    return heading_rates(at, (-j[0], -j[1], -j[2]), yaw_rate)
+    thrust_axis = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
+    return heading_rates(thrust_axis, (-j[0], -j[1], -j[2]), yaw_rate)
 
 
 def flat_full(
@@ -101,18 +101,18 @@ def flat_full(
 
     Inverts paper equation 1. a, j and snap are in NED; the results are in FRD.
     """
-    at = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
-    zx, zy, zz = at.z
-    n, force = at.n, at.force
+    thrust_axis = heading(ops, (-a[0], -a[1], GRAVITY - a[2]), yaw)
+    zx, zy, zz = thrust_axis.z
+    n, force = thrust_axis.n, thrust_axis.force
     per_n, per_f = 1.0 / n, 1.0 / force
-    fx, fy, fz = _to_heading(at, (-j[0], -j[1], -j[2]))
-    rate_x, rate_y = _tilt_rates(at, fx, fy, fz)
+    fx, fy, fz = _to_heading(thrust_axis, (-j[0], -j[1], -j[2]))
+    rate_x, rate_y = _tilt_rates(thrust_axis, fx, fy, fz)
     rate_z = (yaw_rate * zz * per_n + rate_y * zy) * per_n
 
     force_dot = fx * zx + fy * zy + fz * zz
     # z' in NED; (hx, hy, dz) is z' relative to the rotating heading frame, for n'.
     dx, dy, dz = (fx - force_dot * zx) * per_f, (fy - force_dot * zy) * per_f, (fz - force_dot * zz) * per_f
-    gx, gy, gz = _to_heading(at, (-snap[0], -snap[1], -snap[2]))
+    gx, gy, gz = _to_heading(thrust_axis, (-snap[0], -snap[1], -snap[2]))
     # z'' = (f'' - 2 |f|' z') / |f| except for a component along z, which changes no rate.
     ddx, ddy, ddz = (
         (gx - 2.0 * force_dot * dx) * per_f,
@@ -135,19 +135,23 @@ def flat_full(
     rate, rate_dot = (rate_x, rate_y, rate_z), (dot_x, dot_y, dot_z)
     gyroscopic = cross(rate, (jx * rate_x, jy * rate_y, jz * rate_z))
     torque = (jx * dot_x + gyroscopic[0], jy * dot_y + gyroscopic[1], jz * dot_z + gyroscopic[2])
-    return heading_matrix(at), rate, rate_dot, model.mass_kg * force, torque
+    return heading_matrix(thrust_axis), rate, rate_dot, model.mass_kg * force, torque
 
 
-def _to_heading(at: Heading, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
+def _to_heading(thrust_axis: Heading, v: Vector) -> tuple[Scalar, Scalar, Scalar]:
     """Return a NED vector in the heading frame."""
-    return at.cos * v[0] + at.sin * v[1], at.cos * v[1] - at.sin * v[0], v[2]
+    return (
+        thrust_axis.cos * v[0] + thrust_axis.sin * v[1],
+        thrust_axis.cos * v[1] - thrust_axis.sin * v[0],
+        v[2],
+    )
 
 
-def _tilt_rates(at: Heading, fx: Scalar, fy: Scalar, fz: Scalar) -> tuple[Scalar, Scalar]:
+def _tilt_rates(thrust_axis: Heading, fx: Scalar, fy: Scalar, fz: Scalar) -> tuple[Scalar, Scalar]:
     """Return roll and pitch rate from f' in the heading frame: z' = omega_y x - omega_x y."""
-    zx, zy, zz = at.z
-    per = 1.0 / at.n
-    per_f = 1.0 / at.force
+    zx, zy, zz = thrust_axis.z
+    per = 1.0 / thrust_axis.n
+    per_f = 1.0 / thrust_axis.force
     rate_y = (fx * zz - fz * zx) * per * per_f
-    rate_x = (zy * (fx * zx + fz * zz) * per - at.n * fy) * per_f
+    rate_x = (zy * (fx * zx + fz * zz) * per - thrust_axis.n * fy) * per_f
     return rate_x, rate_y

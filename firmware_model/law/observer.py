@@ -10,9 +10,9 @@ baseline DO of paper section V-B.)
 The observer uses the estimated velocity instead of the accelerometer. Between poses this velocity is the
 integral of the accelerometer, so no noisy signal is differentiated; over longer times the camera determines
 it. A bias of the accelerometer, which no flight reveals, would act as a constant disturbance; here it
-cancels. Errors of attitude and mass are part of d_hat, as they are part of the flight. Thrust acts through
-the nominal lag, so d_hat does not depend on the bandwidth of the loop: for a nominal vehicle it is 0 in any
-manoeuvre.
+cancels. Errors of attitude and mass appear in d_hat, because they act on the flight like a disturbance.
+Thrust acts through the nominal lag, so d_hat does not depend on the bandwidth of the loop: for a nominal
+vehicle it is 0 in any manoeuvre.
 """
 
 from __future__ import annotations

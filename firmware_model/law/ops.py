@@ -1,8 +1,8 @@
-"""Operations of the control law: one source serves floats, CasADi symbols and numpy lanes.
+"""Operations of the control law: one source serves floats, CasADi symbols and numpy arrays.
 
-A scalar is a float, a casadi.SX or an array with one value for each lane. Sums, products and comparisons use
-Python's operators. Every other operation goes through the `ops` object that is the first argument.
-`trimtab.host.codegen.ops` has the instances for CasADi and numpy.
+A scalar is a float, a casadi.SX or an array with one value for each independent vehicle (lane). Sums,
+products and comparisons use Python's operators. Every other operation goes through the `ops` object that is
+the first argument. `trimtab.host.codegen.ops` has the instances for CasADi and numpy.
 """
 
 from __future__ import annotations

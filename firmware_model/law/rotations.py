@@ -1,7 +1,7 @@
 """Rotations: quaternions (Hamilton, w first, q_ned_frd), matrices (9, row-major, R_ned_frd), Euler angles.
 
 v_ned = R_ned_frd v_frd. Euler angles Theta are (roll, pitch, yaw). No branch depends on a value, so the same
-source serves floats, CasADi symbols and numpy lanes.
+source serves floats, CasADi symbols and numpy arrays.
 """
 
 from __future__ import annotations

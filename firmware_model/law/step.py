@@ -1,7 +1,8 @@
 """One tick of the flight MCU at 1 kHz: estimate, reference, feed-forward, control, allocation, running sums.
 
 `step(ops, inputs) -> outputs` is a pure function: its state is the block `memory`, both input and output. The
-same source runs on floats and on numpy lanes, and CasADi traces it for the compiled engines.
+same source runs on floats and on numpy arrays with one entry for each independent vehicle (lanes), and CasADi
+traces it for the compiled engines.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from trimtab.firmware_model.law.allocation import (
     invert4,
     thrust_to_command,
 )
-from trimtab.firmware_model.law.dfbc import Gains, Reference, outer_loop, rate_loop
+from trimtab.firmware_model.law.dfbc import FlatState, Gains, outer_loop, rate_loop
 from trimtab.firmware_model.law.estimator import Estimate, EstimatorGains, correct, predict
 from trimtab.firmware_model.law.flatness import Body, flat_attitude, flat_rates
 from trimtab.firmware_model.law.observer import lagged_thrust, measured_disturbance, observe
@@ -93,8 +94,9 @@ _AT = {name: k for k, name in enumerate(PARAMETERS)}
 _ALLOCATION = slice(_AT["ALLOCATION_0"], None)
 
 OFFBOARD_SIZE = 10
-"""Size of the block `offboard`: 1 if the following commands replace the outer loop; collective thrust (N);
-body rate (rad/s, FRD); weight of the attitude error; attitude q_ned_frd, a unit quaternion.
+"""Size of the block `offboard`: 1 if direct commands replace the outer loop, 0 with position setpoints;
+collective thrust (N); body rate (rad/s, FRD); weight of the attitude error; attitude q_ned_frd, a unit
+quaternion.
 """
 NO_OFFBOARD = (0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 
@@ -130,7 +132,7 @@ OUTPUTS: tuple[Block, ...] = (
 
 
 def parameter_vector(table: Mapping[str, float]) -> tuple[float, ...]:
-    """Return the block `parameters` for values by the names of `SOURCES`.
+    """Return the block `parameters` from a mapping that has the names in `SOURCES`.
 
     Raises KeyError for a missing name and ValueError if the rotors cannot produce every torque.
     """
@@ -202,7 +204,7 @@ def motors(
     return [thrust_to_command(ops, t, thrust_max, c1, c2) for t in thrust], list(thrust), saturated
 
 
-def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
+def feedforward_terms(ops: Ops, block: Vector, ref: FlatState, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
     """Return the residual acceleration along the reference (block plus network) and its derivative, NED."""
     R_flat, _ = flat_attitude(ops, ref.a, ref.yaw)
     rate = flat_rates(ops, ref.a, ref.j, ref.yaw, ref.yaw_rate)
@@ -214,8 +216,8 @@ def feedforward_terms(ops: Ops, block: Vector, ref: Reference, ff_accel_ned: Vec
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     """Return the output blocks of one tick. Inputs must be finite.
 
-    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. The observer's estimate
-    stays constant while `observing` is 0.
+    `mocap_new`, `armed`, `observing` and the first value of `offboard` are 0 or 1. `armed` is 1 while the
+    rotors are on. The observer's estimate stays constant while `observing` is 0.
     """
     memory, parameters, block = inputs["memory"], inputs["parameters"], inputs["feedforward"]
     gyro, force = inputs["gyro"], inputs["specific_force"]
@@ -226,7 +228,7 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
     p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
     yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
-    ref = Reference(p_r, v_r, a_r, j_r, yaw, yaw_rate)
+    ref = FlatState(p_r, v_r, a_r, j_r, yaw, yaw_rate)
     ff_accel, ff_jerk = feedforward_terms(ops, block, ref, inputs["ff_accel_ned"])
     ff_accel = [a + d for a, d in zip(ff_accel, d_hat, strict=True)]
 

@@ -10,8 +10,8 @@ from trimtab.firmware_model.flight.engine import Engine
 from trimtab.firmware_model.flight.flight import UPDATE_TICKS, Flight
 from trimtab.firmware_model.flight.parameters import stored_parameters
 from trimtab.firmware_model.flight.supervisor import State
-from trimtab.firmware_model.flight.swap import agree_swap
 from trimtab.firmware_model.flight.verdict import check_blob
+from trimtab.firmware_model.mcu.swapping import AgreedSwap
 from trimtab.firmware_model.mcu.uart import UartPort
 from trimtab.firmware_model.services import telemetry
 from trimtab.firmware_model.services.handlers import Handlers, Hooks, Identity
@@ -26,11 +26,10 @@ from trimtab.protocol.messages import (
     AttPosMocap,
     FcStatus,
     Message,
-    UploadResult,
     mavlink,
 )
-from trimtab.protocol.telemetry import TICK_US, whole_tick
-from trimtab.protocol.upload import Agreement, ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+from trimtab.protocol.telemetry import TICK_US
+from trimtab.protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
 
 BAUD = 921_600
 RX_BYTES = 2_048
@@ -50,7 +49,7 @@ def flight_uart(*, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: in
 
 
 class FlightMcu:
-    """One power-up of the flight processor. A power cycle is a new one with the same store.
+    """One power-up of the flight processor. For a power cycle, build a new object on the same store.
 
     Parameters
     ----------
@@ -110,12 +109,13 @@ class FlightMcu:
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE)
+        self._agreed_swap = AgreedSwap(self.flight, self.parameters)
         self._upload = UploadReceiver(
             store,
             check=self._check,
-            may_commit=lambda kind: self._on_floor(),
-            agree=self._agree,
-            capacity=store.bank_bytes,
+            may_commit=lambda kind: self._disarmed(),
+            agree=self._agreed_swap.agree,
+            capacity=store.blob_bytes_max,
         )
         self._services = Handlers(
             flight=self.flight,
@@ -133,8 +133,6 @@ class FlightMcu:
             ),
         )
         self._out: list[bytes] = []
-        self._swap_us = NEVER_US
-        self._following: track.Track | None = None
         self._last_us = -TICK_US
         self._update_us = 0
         self._status_us = 0
@@ -170,7 +168,7 @@ class FlightMcu:
         if now_us - self._last_us != TICK_US:
             self._catch_up(now_us, gyro, specific_force)
         self._last_us = now_us
-        if now_us >= self._swap_us:
+        if now_us >= self._agreed_swap.at_us:
             self._swap(now_us)
         self.flight.tick(now_us, gyro, specific_force)
         if now_us >= self._update_us:
@@ -194,12 +192,10 @@ class FlightMcu:
         flight = self.flight
         streams = self._services.streams
         flight.update(now_us, self._battery_v)
-        if self._swap_us < NEVER_US and flight.state is not State.TRACKING:
+        if self._agreed_swap.at_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        if not (
-            self._on_floor() and self._upload.in_progress(now_us)
-        ):  # otherwise the upload uses the whole link
-            self._report_at_rate(now_us)
+        if not self._upload_has_link(now_us):  # 100 Hz telemetry pauses during an upload on the floor
+            self._send_100_hz(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
             if flight.changed or streams.private_due(FcStatus.id, now_us):
@@ -215,10 +211,10 @@ class FlightMcu:
             self._notice_foreign(now_us)
         self._flush(now_us)
 
-    def _report_at_rate(self, now_us: int) -> None:
+    def _send_100_hz(self, now_us: int) -> None:
         streams = self._services.streams
         try:
-            for message in telemetry.at_rate(self.flight, now_us):
+            for message in telemetry.messages_100_hz(self.flight, now_us):
                 if not streams.slowed or streams.private_due(message.id, now_us):
                     self._queue(message)
         except (ValueError, OverflowError):
@@ -286,63 +282,39 @@ class FlightMcu:
             battery_v=self._battery_v,
         )
 
-    def _on_floor(self) -> bool:
+    def _disarmed(self) -> bool:
         return self.flight.state in (State.BOOT, State.STANDBY)
+
+    def _upload_has_link(self, now_us: int) -> bool:
+        return self._disarmed() and self._upload.in_progress(now_us)
 
     def _uploaded(self, event: ReceiverEvent) -> None:
         self.flight.changed = True
-        if event.event is UploadEvent.COMMITTED and self._on_floor():
-            self._load(event.kind)  # in flight the reference has already taken over
+        if event.event is UploadEvent.COMMITTED and self._disarmed():
+            self._load(event.kind)  # in flight the swap is already done
 
     def _limits_changed(self) -> None:
-        """Check the live and the staged blobs again."""
+        """Check the live reference and the staged blob again."""
         self._load(Kind.REFERENCE)
         now_us = self._last_us
-        self._services.take(self._upload.limits_changed(now_us), now_us)
+        self._services.report_upload(self._upload.limits_changed(now_us), now_us)
 
-    # Takeover in flight.
-
-    def _agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> Agreement:
-        """Return the answer to a takeover request, which cancels any earlier agreement."""
-        self._swap_us, flight = NEVER_US, self.flight
-        if kind != Kind.REFERENCE:
-            return Agreement(result=UploadResult.BAD_REQUEST)
-        live, start_us = flight.reference, flight.tracking_us
-        if flight.state is not State.TRACKING or live is None or start_us is None:
-            return Agreement(result=UploadResult.BUSY)
-        blob = Reference.from_bytes(data)
-        following = track.track(blob.nodes_ned(), blob.yaw_nodes())
-        at_us = TICK_US * whole_tick(at_tick, now_us // TICK_US)
-        agreement = agree_swap(
-            live,
-            blob,
-            following,
-            at_us=at_us - start_us,
-            ahead_us=at_us - now_us,
-            limits=self.parameters.limits,
-        )
-        if agreement.result is UploadResult.OK:
-            self._following, self._swap_us, flight.changed = following, at_us, True
-        return agreement
+    # Swap in flight.
 
     def _swap(self, now_us: int) -> None:
         """Change the track at the agreed tick and make the staged reference live."""
-        at_us, following = self._swap_us, self._following
-        if self.flight.state is not State.TRACKING or following is None or self._upload.at_tick is None:
+        if self._upload.at_tick is not None and self._agreed_swap.run():
+            self._services.report_upload(self._upload.swap_done(now_us), now_us)
+        else:
             self._call_off(now_us)
-            return
-        self._swap_us = NEVER_US
-        self.flight.swap(following, at_us)
-        self._services.take(self._upload.due(now_us), now_us)
 
     def _call_off(self, now_us: int) -> None:
-        self._swap_us = NEVER_US
+        self._agreed_swap.call_off()
         self._upload.call_off(now_us)
-        self._services.take([], now_us)
-        self.flight.changed = True
+        self._services.report_upload([], now_us)
 
     def _load(self, kind: int) -> None:
-        """Fly the live blob of this kind if it passes the check."""
+        """Load the live blob of this kind for the next flight if it passes the check."""
         data = self._store.live(kind)
         verdict = None if data is None else self._check(kind, data)
         if verdict is not None and not verdict.ok:

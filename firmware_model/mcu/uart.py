@@ -1,7 +1,7 @@
 """Serial lines between processors: limited baud rate and finite buffers, computed from timestamps.
 
 No code runs per byte. The sender records when the line starts to carry its bytes. The receiver computes, when
-it reads, how many of them have arrived. Times are exact: integers in units of 1/baud microseconds.
+it reads, how many of them have arrived. Times are exact: integers, time in us multiplied by the baud rate.
 """
 
 from __future__ import annotations

@@ -99,7 +99,7 @@ class Commands:
         self.long(long, now_us)
 
     def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:
-        reason = self._flight.command(event, now_us, height_m)
+        reason = self._flight.handle_event(event, now_us, height_m)
         if reason is None:
             return _ACCEPTED
         self._text(_WARNING, f"{event.name.lower()} refused: {reason}")

@@ -69,7 +69,7 @@ class BlobFiles:
         text: Callable[[int, str], None],
         on_upload: Callable[[list[ReceiverEvent], int], None],
     ) -> None:
-        self.bytes_max = store.bank_bytes
+        self.bytes_max = store.blob_bytes_max
         self._store = store
         self._upload = upload
         self._text = text

@@ -27,7 +27,7 @@ from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
 TEXT_BYTES = 50
 SOFTWARE_VERSION = 0x00_02_00_FF
-"""0.2.0, official: the version of the package in the bytes of AUTOPILOT_VERSION."""
+"""AUTOPILOT_VERSION.flight_sw_version: major 0, minor 2, patch 0, type 255 (official)."""
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
@@ -43,7 +43,7 @@ _CAPABILITIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Identity of a power-up: its uid, and the id (6 B) of the vehicle file that it was set up for."""
+    """Identity of a power-up: its unique id, and the id (6 B) of the vehicle's file."""
 
     uid: int
     vehicle_id: bytes
@@ -100,7 +100,7 @@ class Handlers:
             on_limits=hooks.on_limits,
         )
         self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
-        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.take)
+        files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.report_upload)
         self._ftp = FtpServer(files, send=send)
         commands = self._commands(hooks.status)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
@@ -138,7 +138,7 @@ class Handlers:
                 m.Heartbeat.id: lambda now_us: heartbeat(self._flight),
                 **self.streams.requests(),
             },
-            on_upload=self.take,
+            on_upload=self.report_upload,
             more=self.streams.commands(),
         )
 
@@ -162,15 +162,15 @@ class Handlers:
         self._ftp.update(now_us)
         deadline_us = self._upload.next_deadline_us()
         if deadline_us is not None and now_us >= deadline_us:
-            self.take(self._upload.advance(now_us), now_us)
+            self.report_upload(self._upload.advance(now_us), now_us)
 
     def text(self, severity: int, text: str) -> None:
         """Send `text` as STATUSTEXT messages of at most TEXT_BYTES."""
         for line in textwrap.wrap(text, TEXT_BYTES):
             self._send(m.StatusText(severity, line.encode("ascii", errors="replace")))
 
-    def take(self, events: list[ReceiverEvent], now_us: int) -> None:
-        """Report the events of an upload and send its answers."""
+    def report_upload(self, events: list[ReceiverEvent], now_us: int) -> None:
+        """Report the events of an upload to the owner and send its answers."""
         for event in events:
             self._on_upload(event)
         for answer in self._upload.send(now_us):
@@ -212,4 +212,4 @@ class Handlers:
     # Uploads.
 
     def _upload_message(self, message: Message, now_us: int) -> None:
-        self.take(self._upload.receive(message, now_us), now_us)
+        self.report_upload(self._upload.receive(message, now_us), now_us)

@@ -1,6 +1,6 @@
 """Periodic telemetry: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10 Hz, HEARTBEAT at 1 Hz.
 
-FC_OBSERVER follows at 100 Hz while the observer is on.
+FC_OBSERVER follows at 100 Hz if OBS_GAIN > 0.
 """
 
 from __future__ import annotations
@@ -51,7 +51,7 @@ class OnBoard(NamedTuple):
     bad_bytes: int
 
 
-def at_rate(flight: Flight, now_us: int) -> Iterator[Message]:
+def messages_100_hz(flight: Flight, now_us: int) -> Iterator[Message]:
     """Yield the 100 Hz messages of this tick in the order of transmission.
 
     FC_OBSERVER follows FC_ESTIMATE, because both fit into one radio frame. It precedes FC_CONTROL, so a host

@@ -1,8 +1,8 @@
-"""Non-volatile store of the flight MCU: blobs, an upload in progress, and set parameters.
+"""Non-volatile store of the flight MCU: blobs, an upload in progress, and parameters changed by the user.
 
 There are two banks for each kind of blob, and one of them is live. A blob is received, checked and staged in
 the other bank. A single record then makes it live, and this write is atomic. Data with a wrong checksum is
-invalid: the live blob is the newest committed blob that is intact, or else its predecessor. All state is in
+invalid: the live blob is the newest committed one; if it is damaged, the one before. All state is in
 the flash, so a new store on the same flash continues where the previous one ended.
 """
 
@@ -18,57 +18,59 @@ from trimtab.protocol.upload import CHUNK_BYTES, Incoming
 
 MAGIC = b"trimtab memory 1"
 """First bytes of a memory; the number identifies its layout."""
-_SLOTS_SPARE = 2
+_SLOTS_SPARE = 2  # log records still needed: STAGED and LIVE
 
 
-def memory_bytes(bank_bytes: int = BLOB_BYTES_MAX) -> int:
-    """Return the size of the flash for a store with banks of this size."""
-    return SECTOR_BYTES + SETTINGS_BYTES + 2 * len(Kind) * Bank.bytes_of(bank_bytes)
+def memory_bytes(blob_bytes_max: int = BLOB_BYTES_MAX) -> int:
+    """Return the size of the flash for a store of blobs up to this length."""
+    return SECTOR_BYTES + SETTINGS_BYTES + 2 * len(Kind) * Bank.bytes_of(blob_bytes_max)
 
 
 class ReferenceStore:
-    """Live and staged blobs and uploads in progress, by kind (`blobs.Kind`), and set parameters.
+    """References, feed-forwards, uploads in progress, and parameters changed by the user.
+
+    Each kind of blob (`blobs.Kind`) may have a live blob and one that is received or staged.
 
     Every method that writes raises PowerCut if power fails.
 
     Parameters
     ----------
     flash
-        Memory of `memory_bytes(bank_bytes)`; blank by default. A memory that does not start with MAGIC is
+        Memory of `memory_bytes(blob_bytes_max)`; blank by default. A memory that does not start with MAGIC is
         erased.
-    bank_bytes
-        Size of one bank.
+    blob_bytes_max
+        Longest blob, in bytes.
 
     Attributes
     ----------
     faults
         Texts that report damaged data.
     settings
-        Set parameters.
+        Parameters changed by the user.
     """
 
-    def __init__(self, flash: Flash | None = None, *, bank_bytes: int = BLOB_BYTES_MAX) -> None:
-        if bank_bytes <= 0:
-            raise ValueError(f"bank_bytes must be positive, not {bank_bytes}")
-        flash = flash or Flash.blank(memory_bytes(bank_bytes))
-        if len(flash.image) != memory_bytes(bank_bytes):
-            raise ValueError(f"the memory needs {memory_bytes(bank_bytes)} bytes, not {len(flash.image)}")
+    def __init__(self, flash: Flash | None = None, *, blob_bytes_max: int = BLOB_BYTES_MAX) -> None:
+        if blob_bytes_max <= 0:
+            raise ValueError(f"blob_bytes_max must be positive, not {blob_bytes_max}")
+        flash = flash or Flash.blank(memory_bytes(blob_bytes_max))
+        if len(flash.image) != memory_bytes(blob_bytes_max):
+            raise ValueError(f"the memory needs {memory_bytes(blob_bytes_max)} bytes, not {len(flash.image)}")
         self.flash = flash
-        self.bank_bytes = bank_bytes
+        self.blob_bytes_max = blob_bytes_max
         self.faults: list[str] = []
         if flash.read(0, len(MAGIC)) != MAGIC:
             self._format()
         self.settings = Settings(flash, SECTOR_BYTES)
         if self.settings.damaged:
-            self.faults.append("memory: the set parameters are lost")
+            self.faults.append("memory: parameters changed by the user are lost")
         self._banks: dict[int, tuple[Bank, Bank]] = {}
         start = SECTOR_BYTES + SETTINGS_BYTES
         for kind in Kind:
-            first = Bank(flash, start, kind, bank_bytes)
-            second = Bank(flash, start + Bank.bytes_of(bank_bytes), kind, bank_bytes)
+            first = Bank(flash, start, kind, blob_bytes_max)
+            second = Bank(flash, start + Bank.bytes_of(blob_bytes_max), kind, blob_bytes_max)
             self._banks[kind] = (first, second)
-            start += 2 * Bank.bytes_of(bank_bytes)
-        self._open: dict[int, tuple[Bank, Record]] = {}
+            start += 2 * Bank.bytes_of(blob_bytes_max)
+        self._not_live: dict[int, tuple[Bank, Record]] = {}  # received or staged, by kind
         self._sequence = 0
         for kind in Kind:
             self._inspect(kind)
@@ -82,9 +84,9 @@ class ReferenceStore:
 
     def staged(self, kind: int) -> bytes | None:
         """Return the bytes of the staged blob of this kind, or None."""
-        if kind not in self._open:
+        if kind not in self._not_live:
             return None
-        bank, record = self._open[kind]
+        bank, record = self._not_live[kind]
         return bank.whole(record) if record.step is Step.STAGED else None
 
     def stage(self, kind: int, blob: bytes) -> str:
@@ -94,14 +96,14 @@ class ReferenceStore:
         larger than a bank.
         """
         digest = hashlib.sha256(blob).digest()
-        opened = self._open.get(kind)
+        opened = self._not_live.get(kind)
         if opened is None or opened[0].whole(opened[1]) != blob or opened[0].slots_free() < _SLOTS_SPARE:
             self.begin(kind, len(blob), digest)
             for start in range(0, len(blob), CHUNK_BYTES):
                 self.put(kind, start // CHUNK_BYTES, blob[start : start + CHUNK_BYTES])
-        bank, record = self._open[kind]
+        bank, record = self._not_live[kind]
         if record.step is not Step.STAGED:
-            self._open[kind] = bank, self._append(bank, record, Step.STAGED)
+            self._not_live[kind] = bank, self._append(bank, record, Step.STAGED)
         return digest.hex()
 
     def commit(self, kind: int) -> bytes:
@@ -109,24 +111,24 @@ class ReferenceStore:
 
         Raises ValueError if no blob is staged or the bank is damaged.
         """
-        bank, record = self._open.get(kind, (None, None))
+        bank, record = self._not_live.get(kind, (None, None))
         if bank is None or record is None or record.step is not Step.STAGED:
             raise ValueError("no blob is staged")
         blob = bank.whole(record)
         if blob is None:
             raise ValueError("the staged bank is damaged")
         self._append(bank, record, Step.LIVE)
-        del self._open[kind]
+        del self._not_live[kind]
         return blob
 
     def discard(self, kind: int) -> None:
         """Discard the received or staged blob of this kind; the live blob stays."""
-        if kind in self._open:
-            self._open.pop(kind)[0].forget()
+        if kind in self._not_live:
+            self._not_live.pop(kind)[0].forget()
 
     def clear(self, kind: int) -> None:
         """Remove both the live and the staged blob of this kind."""
-        self._open.pop(kind, None)
+        self._not_live.pop(kind, None)
         live = self._live(kind)
         for bank in sorted(self._banks[kind], key=lambda bank: live is not None and bank is live[0]):
             bank.forget()  # the live bank last; otherwise its predecessor would become live again
@@ -135,9 +137,9 @@ class ReferenceStore:
 
     def incoming(self) -> Incoming | None:
         """Return the newest blob that is being received or staged, with its held chunks, or None."""
-        if not self._open:
+        if not self._not_live:
             return None
-        bank, record = max(self._open.values(), key=lambda opened: opened[1].sequence)
+        bank, record = max(self._not_live.values(), key=lambda opened: opened[1].sequence)
         return Incoming(record.kind, record.size, record.digest, bank.held(record))
 
     def begin(self, kind: int, size: int, digest: bytes) -> None:
@@ -145,23 +147,23 @@ class ReferenceStore:
 
         Raises ValueError if the blob is empty or larger than a bank.
         """
-        if not 0 < size <= self.bank_bytes:
-            raise ValueError(f"a blob must have 1 to {self.bank_bytes} bytes, not {size}")
-        self._open.pop(kind, None)
+        if not 0 < size <= self.blob_bytes_max:
+            raise ValueError(f"a blob must have 1 to {self.blob_bytes_max} bytes, not {size}")
+        self._not_live.pop(kind, None)
         live = self._live(kind)
         bank = next(bank for bank in self._banks[kind] if live is None or bank is not live[0])
         bank.erase(size)
         record = Record(Step.BEGUN, kind, 0, size, digest)
-        self._open[kind] = bank, self._append(bank, record, Step.BEGUN)
+        self._not_live[kind] = bank, self._append(bank, record, Step.BEGUN)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:
         """Store a chunk of the blob being received, so that it survives a power cut."""
-        bank, record = self._open[kind]
+        bank, record = self._not_live[kind]
         bank.put(record, index, chunk)
 
     def received(self, kind: int) -> bytes:
         """Return the bytes in memory of the blob being received, complete or not."""
-        bank, record = self._open[kind]
+        bank, record = self._not_live[kind]
         return bank.data(record)
 
     # Internals.
@@ -194,8 +196,8 @@ class ReferenceStore:
             if last.step is Step.LIVE:
                 if bank.whole(last) is None:
                     self.faults.append(f"memory: a {Kind(kind).name.lower()} is damaged")
-            elif kind not in self._open or self._open[kind][1].sequence < last.sequence:
-                self._open[kind] = bank, last
+            elif kind not in self._not_live or self._not_live[kind][1].sequence < last.sequence:
+                self._not_live[kind] = bank, last
 
     def _format(self) -> None:
         """Erase the memory and write its header last."""

@@ -149,7 +149,7 @@ def _flown_reference(
 ) -> tuple[Reference | None, str | None, int | None]:
     """Return the reference that was flown, its id, and its time 0 if a second one took over in flight.
 
-    The time is on the vehicle's clock, us. After a takeover the reference is composed of both.
+    The time is on the vehicle's clock, us. After a swap the reference is composed of both.
     """
     first, second = attached.get(REFERENCE_FILE), attached.get(THEN_FILE)
     if first is None:
@@ -173,7 +173,7 @@ def _tracking(
     """Return start and end of the tracking phase, and whether the reference was flown to its end.
 
     The phase starts at the reference's time 0, as the vehicle reports it, or at `began_us` (vehicle's clock)
-    after a takeover. It ends with the reference. If the vehicle left the phase early, or the log ends, it
+    after a swap. It ends with the reference. If the vehicle left the phase early, or the log ends, it
     ends with the last status in TRACKING.
     """
     in_tracking = [message for _, message in pairs if message.state == State.TRACKING]

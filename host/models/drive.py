@@ -7,7 +7,7 @@ from typing import Annotated, Any, Literal, NamedTuple
 
 import numpy as np
 
-from trimtab.firmware_model.law.dfbc import Reference
+from trimtab.firmware_model.law.dfbc import FlatState
 
 Scalar = Any
 Drive = Literal["reference", "estimate", "inputs"]
@@ -26,9 +26,9 @@ ESTIMATED_THETA, ESTIMATED_RATE = slice(28, 31), slice(31, 34)
 COMMANDED_THRUST, INPUTS_VOLTAGE_AND_TIME = slice(0, 4), slice(4, 6)
 
 
-def flat_reference(drive: Sequence[Scalar]) -> Reference:
+def flat_reference(drive: Sequence[Scalar]) -> FlatState:
     """Return the flat outputs of a drive `reference` or `estimate` as the law takes them."""
-    return Reference(drive[0:3], drive[3:6], drive[6:9], drive[9:12], drive[12], drive[13])
+    return FlatState(drive[0:3], drive[3:6], drive[6:9], drive[9:12], drive[12], drive[13])
 
 
 class FlightConstants(NamedTuple):

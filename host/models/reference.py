@@ -8,7 +8,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trimtab.firmware_model.law import feedforward as law_feedforward
-from trimtab.firmware_model.law.dfbc import Reference as FlatOutputs
+from trimtab.firmware_model.law.dfbc import FlatState
 from trimtab.firmware_model.law.flatness import flat_attitude
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.firmware_model.law.step import feedforward_terms
@@ -43,7 +43,7 @@ def feedforward_rows(
     rows = np.zeros((FEEDFORWARD_ROWS, flat.shape[1]))
     if feedforward is None:
         return rows
-    reference = FlatOutputs(flat[0:3], flat[3:6], flat[6:9], flat[9:12], flat[12], flat[13])  # type: ignore[arg-type]
+    reference = FlatState(flat[0:3], flat[3:6], flat[6:9], flat[9:12], flat[12], flat[13])  # type: ignore[arg-type]
     network: Sequence[Any] = (0.0, 0.0, 0.0)
     if feedforward.layers:
         R, _ = flat_attitude(NUMPY, reference.a, reference.yaw)

@@ -8,7 +8,8 @@ UPLOAD_VERDICT. UPLOAD_COMMIT then makes the blob live: immediately or, for a re
 in flight, at an agreed tick. Every message may be lost, late or repeated: messages are idempotent, and an end
 that waits for an answer repeats its request.
 
-Both ends are state machines without I/O. `receive(message, now_us)` and `advance(now_us)` return events.
+Both ends are state machines without I/O. The receiver's `receive(message, now_us)` and
+`advance(now_us)` return events.
 `send(now_us)` returns the messages that are due. `next_deadline_us()` returns the time of the next call.
 """
 
@@ -17,20 +18,20 @@ from trimtab.protocol.upload.receiver import UploadReceiver
 from trimtab.protocol.upload.sender import SenderState, UploadSender
 from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
-    Agreement,
     Incoming,
     ReceiverEvent,
+    SwapAnswer,
     UploadEvent,
     Verdict,
 )
 
 __all__ = [
     "CHUNK_BYTES",
-    "Agreement",
     "BlobStore",
     "Incoming",
     "ReceiverEvent",
     "SenderState",
+    "SwapAnswer",
     "UploadEvent",
     "UploadReceiver",
     "UploadSender",

@@ -21,7 +21,7 @@ class BlobStore(Protocol):
     def discard(self, kind: int) -> None: ...
 
 
-class Blob(NamedTuple):
+class BlobIdentity(NamedTuple):
     """Identity of a blob in a message: SHA-256 digest, kind, size in bytes."""
 
     digest: bytes = b""
@@ -34,7 +34,7 @@ class Blob(NamedTuple):
         return self.digest[:6].hex()
 
 
-NO_BLOB = Blob()
+NO_BLOB = BlobIdentity()
 
 
 class CurrentBlob:
@@ -63,7 +63,7 @@ class CurrentBlob:
         """Return whether the current blob has this digest."""
         return bool(self) and digest == self.blob.digest
 
-    def begin(self, blob: Blob) -> None:
+    def begin(self, blob: BlobIdentity) -> None:
         """Start to receive `blob`."""
         self.blob = blob
         self.held_chunks = bytearray(chunk_count(blob.size))
@@ -78,7 +78,7 @@ class CurrentBlob:
 
     def resume(self, incoming: Incoming) -> None:
         """Continue the upload that the store holds."""
-        self.blob = Blob(incoming.digest, incoming.kind, incoming.size)
+        self.blob = BlobIdentity(incoming.digest, incoming.kind, incoming.size)
         self.held_chunks = incoming.held
 
     def data(self) -> bytes:

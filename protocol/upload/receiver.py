@@ -12,15 +12,15 @@ from collections.abc import Callable
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.messages import Message, UploadResult, UploadState
-from trimtab.protocol.upload.current_blob import NO_BLOB, Blob, BlobStore
+from trimtab.protocol.upload.current_blob import NO_BLOB, BlobIdentity, BlobStore
 from trimtab.protocol.upload.receiver_machine import ReceiverMachine
 from trimtab.protocol.upload.receiver_reports import Reports
 from trimtab.protocol.upload.receiver_table import TABLE, Event, Refusal
 from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
     SIZE_MAX,
-    Agreement,
     ReceiverEvent,
+    SwapAnswer,
     Verdict,
     tag_of,
 )
@@ -30,8 +30,8 @@ IN_PROGRESS_US = 200_000
 _STAGED = (UploadState.STAGED, UploadState.SCHEDULED)
 
 
-def _no_agreement(kind: int, blob: bytes, at_tick: int, now_us: int) -> Agreement:
-    return Agreement(result=UploadResult.BUSY)
+def _no_swap(kind: int, blob: bytes, at_tick: int, now_us: int) -> SwapAnswer:
+    return SwapAnswer(result=UploadResult.BUSY)
 
 
 class UploadReceiver:
@@ -47,8 +47,8 @@ class UploadReceiver:
     may_commit
         Returns whether a blob of this kind may become live now.
     agree
-        Returns whether a blob takes over in flight, given kind, bytes, tick of the takeover and present time
-        in us. If it does, the owner later calls either `due` at that tick or `call_off`.
+        Returns whether a blob takes over in flight, given kind, bytes, tick of the swap and present time in
+        us. If it does, the owner later calls either `swap_done` at that tick or `call_off`.
     capacity
         Greatest size of a blob in bytes.
     silence_us
@@ -66,7 +66,7 @@ class UploadReceiver:
         *,
         check: Callable[[int, bytes], Verdict],
         may_commit: Callable[[int], bool],
-        agree: Callable[[int, bytes, int, int], Agreement] = _no_agreement,
+        agree: Callable[[int, bytes, int, int], SwapAnswer] = _no_swap,
         capacity: int,
         silence_us: int = 30_000_000,
     ) -> None:
@@ -123,14 +123,14 @@ class UploadReceiver:
             self._on_chunk(message, now_us)
         elif isinstance(message, m.UploadBegin):
             self._reports.query = message.query
-            blob = Blob(bytes(message.digest), message.kind, message.size)
+            blob = BlobIdentity(bytes(message.digest), message.kind, message.size)
             self._machine.run(self._begin_event(blob, message.chunk), blob, now_us)
         elif isinstance(message, m.UploadCommit):
             self._on_commit(bytes(message.digest), message.at_tick, now_us)
         elif isinstance(message, m.UploadAbort):
             digest = bytes(message.digest)
             event = Event.ABORT_SAME if self._current.has_digest(digest) else Event.ABORT_OTHER
-            self._machine.run(event, Blob(digest), now_us)
+            self._machine.run(event, BlobIdentity(digest), now_us)
         return self._machine.take_events()
 
     def commit(self, id_bytes: bytes, now_us: int) -> tuple[UploadResult, list[ReceiverEvent]]:
@@ -147,7 +147,7 @@ class UploadReceiver:
         live = any(digest[:6] == id_bytes for digest in self._machine.live.values())
         return (UploadResult.OK if live else UploadResult.BUSY), self._machine.take_events()
 
-    def due(self, now_us: int) -> list[ReceiverEvent]:
+    def swap_done(self, now_us: int) -> list[ReceiverEvent]:
         """Commit the blob that has taken over at the agreed tick; return the events."""
         self._machine.run(Event.DUE, self._current.blob, now_us)
         return self._machine.take_events()
@@ -171,12 +171,12 @@ class UploadReceiver:
         """Receive a complete blob; return the result, the verdict if it was checked, and the events.
 
         OK: the blob is already live, or it is staged until it is committed or another upload begins. BUSY:
-        another upload is in progress, or another takeover is agreed. After any other result the blob is
+        another upload is in progress, or another swap is agreed. After any other result the blob is
         discarded.
         """
         if self.state is UploadState.RECEIVING and self._reports.awaited(now_us):
             return UploadResult.BUSY, None, []
-        blob = Blob(hashlib.sha256(data).digest(), kind, len(data))
+        blob = BlobIdentity(hashlib.sha256(data).digest(), kind, len(data))
         event = self._begin_event(blob, CHUNK_BYTES)
         if event is Event.BEGIN_LIVE:
             return UploadResult.OK, None, []
@@ -205,7 +205,7 @@ class UploadReceiver:
         return UploadResult.OK, self._machine.take_events()
 
     def advance(self, now_us: int) -> list[ReceiverEvent]:
-        """Return the events that are due to the passage of time."""
+        """Return the events not yet returned."""
         return self._machine.take_events()
 
     def send(self, now_us: int) -> list[Message]:
@@ -224,7 +224,7 @@ class UploadReceiver:
 
     # Classify messages as events.
 
-    def _begin_event(self, blob: Blob, chunk_bytes: int) -> Event:
+    def _begin_event(self, blob: BlobIdentity, chunk_bytes: int) -> Event:
         if blob.kind not in tuple(Kind):
             return Event.BEGIN_BAD_KIND
         if chunk_bytes != CHUNK_BYTES or blob.size == 0:
@@ -260,13 +260,14 @@ class UploadReceiver:
             event = self._commit_at_event(at_tick, now_us)
         else:
             event = Event.COMMIT_SAME if self._may_commit(self._current.blob.kind) else Event.COMMIT_BUSY
-        self._machine.run(event, Blob(digest), now_us)
+        self._machine.run(event, BlobIdentity(digest), now_us)
 
     def _commit_at_event(self, at_tick: int, now_us: int) -> Event:
         if self.state not in _STAGED or self.at_tick == at_tick:
-            return Event.COMMIT_AT  # a repeated request: the answer was lost
-        self._machine.agreement = self._agree(self._current.blob.kind, self._current.data(), at_tick, now_us)
-        if self._machine.agreement.result is not UploadResult.OK:
+            return Event.COMMIT_AT  # not staged: the table answers; or a repeated request
+        blob = self._current.blob
+        self._machine.swap_answer = self._agree(blob.kind, self._current.data(), at_tick, now_us)
+        if self._machine.swap_answer.result is not UploadResult.OK:
             return Event.COMMIT_AT_REFUSED
         self._agreed_tick = at_tick
         return Event.COMMIT_AT

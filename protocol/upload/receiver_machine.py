@@ -7,13 +7,13 @@ from collections.abc import Callable
 
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.messages import UploadResult, UploadState
-from trimtab.protocol.upload.current_blob import Blob, BlobStore, CurrentBlob
+from trimtab.protocol.upload.current_blob import BlobIdentity, BlobStore, CurrentBlob
 from trimtab.protocol.upload.receiver_reports import Reports
 from trimtab.protocol.upload.receiver_table import TABLE, Action, Event, Refusal
 from trimtab.protocol.upload.transfer import (
-    Agreement,
     Incoming,
     ReceiverEvent,
+    SwapAnswer,
     UploadEvent,
     Verdict,
     tag_of,
@@ -41,21 +41,21 @@ class ReceiverMachine:
         Verdict of the check on the current blob; None before the check.
     live
         SHA-256 digest of the live blob of each kind.
-    agreement
-        Last answer to a request for a takeover in flight.
+    swap_answer
+        Last answer to a request for a swap in flight.
     """
 
     def __init__(self, store: BlobStore, check: Callable[[int, bytes], Verdict], reports: Reports) -> None:
         self.state = UploadState.IDLE
         self.verdict: Verdict | None = None
         self.live: dict[int, bytes] = {}
-        self.agreement = Agreement()
+        self.swap_answer = SwapAnswer()
         self.current = CurrentBlob(store)
         self._store = store
         self._check = check
         self._reports = reports
         self._events: list[ReceiverEvent] = []
-        self._actions: dict[Action, Callable[[Blob, int], None]] = {
+        self._actions: dict[Action, Callable[[BlobIdentity, int], None]] = {
             Action.BEGIN: self._begin,
             Action.KEEP: self._report_soon,
             Action.REPORT: self.report,
@@ -75,7 +75,7 @@ class ReceiverMachine:
             self._note_live(kind)
         self._resume(store.incoming())
 
-    def run(self, event: Event, blob: Blob, now_us: int) -> None:
+    def run(self, event: Event, blob: BlobIdentity, now_us: int) -> None:
         """Take the transition of `event`, which concerns `blob`: change the state, then act."""
         entry = TABLE(self.state, event)
         same = self.current.has_digest(blob.digest)
@@ -104,7 +104,7 @@ class ReceiverMachine:
 
     # Actions. The state has already changed.
 
-    def _begin(self, blob: Blob, now_us: int) -> None:
+    def _begin(self, blob: BlobIdentity, now_us: int) -> None:
         if self.current:
             self._clear(UploadEvent.DISCARDED, "another upload began")
         self.current.begin(blob)
@@ -112,7 +112,7 @@ class ReceiverMachine:
         self._emit(UploadEvent.BEGAN, f"receiving {blob.size} bytes")
         self.report(blob, now_us)
 
-    def report(self, blob: Blob, now_us: int) -> None:
+    def report(self, blob: BlobIdentity, now_us: int) -> None:
         """Queue a report on the current blob, or the answer to a chunk of an unknown blob."""
         self._reports.clear_due()
         if not self.current:
@@ -127,23 +127,23 @@ class ReceiverMachine:
         if self.verdict is not None:
             self._reports.verdict(self.current.blob.digest, self.verdict)
 
-    def _report_soon(self, blob: Blob, now_us: int) -> None:
+    def _report_soon(self, blob: BlobIdentity, now_us: int) -> None:
         self._reports.schedule(self.current.chunks - self.current.held, now_us)
 
-    def _stage(self, blob: Blob, now_us: int) -> None:
+    def _stage(self, blob: BlobIdentity, now_us: int) -> None:
         self._store.stage(self.current.blob.kind, self.current.data())
         self._emit(UploadEvent.ACCEPTED, "staged")
         self.report(blob, now_us)
 
-    def _refuse(self, blob: Blob, now_us: int) -> None:
+    def _refuse(self, blob: BlobIdentity, now_us: int) -> None:
         self._emit(UploadEvent.REFUSED, self.verdict.message if self.verdict else "")
         self.report(blob, now_us)
 
-    def _drop(self, blob: Blob, now_us: int) -> None:
+    def _drop(self, blob: BlobIdentity, now_us: int) -> None:
         self._answer(self.current.blob.digest, UploadState.IDLE, UploadResult.CORRUPT)
         self._clear(UploadEvent.CORRUPT, "its bytes do not match its digest")
 
-    def _commit(self, blob: Blob, now_us: int) -> None:
+    def _commit(self, blob: BlobIdentity, now_us: int) -> None:
         kind = self.current.blob.kind
         try:
             self._store.commit(kind)
@@ -154,22 +154,22 @@ class ReceiverMachine:
         self._answer_live(self.current.blob, now_us)
         self._clear(UploadEvent.COMMITTED, "live")
 
-    def _refuse_commit(self, blob: Blob, now_us: int) -> None:
-        self._answer(self.current.blob.digest, self.state, self.agreement.result)
-        if self.agreement.verdict is not None:
-            self._reports.verdict(self.current.blob.digest, self.agreement.verdict)
+    def _refuse_commit(self, blob: BlobIdentity, now_us: int) -> None:
+        self._answer(self.current.blob.digest, self.state, self.swap_answer.result)
+        if self.swap_answer.verdict is not None:
+            self._reports.verdict(self.current.blob.digest, self.swap_answer.verdict)
 
-    def _answer_busy(self, blob: Blob, now_us: int) -> None:
+    def _answer_busy(self, blob: BlobIdentity, now_us: int) -> None:
         self._answer(self.current.blob.digest, self.state, UploadResult.BUSY)
 
-    def _answer_live(self, blob: Blob, now_us: int) -> None:
+    def _answer_live(self, blob: BlobIdentity, now_us: int) -> None:
         self._answer(blob.digest, UploadState.LIVE, UploadResult.OK)
 
-    def _discard(self, blob: Blob, now_us: int) -> None:
+    def _discard(self, blob: BlobIdentity, now_us: int) -> None:
         self._answer(self.current.blob.digest, UploadState.IDLE, UploadResult.OK)
         self._clear(UploadEvent.DISCARDED, "aborted")
 
-    def _check_again(self, blob: Blob, now_us: int) -> None:
+    def _check_again(self, blob: BlobIdentity, now_us: int) -> None:
         self.complete(now_us)
 
     # Helpers.

@@ -151,7 +151,9 @@ TABLE: Table[UploadState, Event, Entry] = Table(
             _E.CHECK_REFUSED: Move(_S.REFUSED, _A.REFUSE),
             _E.CORRUPT: _COMPLETE,
             _E.COMMIT_SAME: Move(_S.IDLE, _A.COMMIT),
-            _E.COMMIT_BUSY: Refusal(_R.BUSY, "an immediate commit needs a vehicle on the floor"),
+            _E.COMMIT_BUSY: Refusal(
+                _R.BUSY, "the vehicle is armed or flying; it swaps a blob only at an agreed tick"
+            ),
             _E.COMMIT_AT: Move(_S.SCHEDULED, _A.REPORT),
             _E.COMMIT_AT_REFUSED: Move(_S.STAGED, _A.REFUSE_COMMIT),
             _E.ABORT_SAME: Move(_S.IDLE, _A.DISCARD),

@@ -26,14 +26,14 @@ from trimtab.protocol.upload.transfer import (
 )
 
 WINDOW = 40
-"""Greatest number of chunks in flight: 4.4 kB, which fit the radio's upload queue and the air."""
+"""Greatest number of chunks in flight, 4.6 kB: 4.1 kB fit the radio's queue, the rest is on its way."""
 INTERVAL_US = 2_150
 """Least time between two chunks: one slot of the radio plus a margin for the return traffic."""
 _REPEAT_US = 10_000
 """Time after which an unanswered announcement or commit is repeated."""
 _QUERY_US = 10_000
-"""Unit of time that numbers the first announcement. A host announces at most once in this time, so a host
-that immediately follows another one uses different numbers."""
+"""The first announcement takes its number from the clock in this unit, so a restarted host begins with
+another number."""
 _QUERIES = 255
 _RESTARTS_MAX = 8
 _OVERDUE_MIN_US = 50_000
@@ -112,9 +112,9 @@ class UploadSender:
         self._tag = tag_of(self.digest)
         self._schedule = ChunkSchedule(self.chunks, window=window, interval_us=interval_us)
         self._query = 0
-        self._announced = False
+        self._answer_pending = False
         self._overdue = 0
-        self._active_us: int | None = None
+        self._waiting_since_us: int | None = None  # None before the first send
         self._progress_us = 0
         self._out: list[Message] = []
         self._actions: dict[Action, Callable[[Message | None, int], None]] = {
@@ -162,36 +162,36 @@ class UploadSender:
             event = self._status_event(message)
         else:
             return False
-        if self._active_us is None:
+        if self._waiting_since_us is None:
             self._progress_us = now_us
         self._status_us = now_us
         if self._do(event, message, now_us):
-            self._active_us = now_us
+            self._waiting_since_us = now_us
             self._overdue = 0
         return True
 
     def advance(self, now_us: int) -> None:
         """Repeat an overdue request; fail after `patience_us` without progress."""
-        if self.over or self._active_us is None:
+        if self.over or self._waiting_since_us is None:
             return
         if now_us - self._progress_us >= self._patience_us:
             self._do(Event.SILENCE, None, now_us)
-        elif now_us >= self._active_us + self._overdue_us():
+        elif now_us >= self._waiting_since_us + self._overdue_us():
             self._overdue += 1
-            self._active_us = now_us
+            self._waiting_since_us = now_us
             self._do(Event.OVERDUE, None, now_us)
 
     def send(self, now_us: int) -> list[Message]:
         """Return the messages that are due; the first call announces the blob."""
-        if self._active_us is None:
-            self._active_us = self._progress_us = now_us
+        if self._waiting_since_us is None:
+            self._waiting_since_us = self._progress_us = now_us
             self._query = now_us // _QUERY_US
             self._announce(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
             out.extend(self._chunk(index) for index in self._schedule.due(now_us, self._status_us))
         if out:
-            self._active_us = now_us
+            self._waiting_since_us = now_us
             self.messages_sent += len(out)
         return out
 
@@ -199,9 +199,9 @@ class UploadSender:
         """Return the time by which to call `advance` and `send`; None after the end."""
         if self.over and not self._out:
             return None
-        if self._active_us is None or self._out:
+        if self._waiting_since_us is None or self._out:
             return 0
-        deadline_us = min(self._active_us + self._overdue_us(), self._progress_us + self._patience_us)
+        deadline_us = min(self._waiting_since_us + self._overdue_us(), self._progress_us + self._patience_us)
         if self.state is SenderState.SENDING:
             deadline_us = min(deadline_us, self._schedule.next_us(self._status_us))
         return deadline_us
@@ -252,8 +252,8 @@ class UploadSender:
 
     def _announce(self, message: Message | None, now_us: int) -> None:
         self._schedule.note_announcement()
-        if not self._announced:  # a repetition keeps its number: any answer to it is valid
-            self._announced = True
+        if not self._answer_pending:  # a repetition keeps its number: any answer to it is valid
+            self._answer_pending = True
             self._query = self._query % _QUERIES + 1
         size, digest = len(self._blob), self.digest
         self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._query, digest))
@@ -262,7 +262,7 @@ class UploadSender:
         self.restarts += 1
         self.verdict = None
         self._schedule.restart()
-        self._announced = False
+        self._answer_pending = False
         self._announce(message, now_us)
 
     def _commit(self, message: Message | None, now_us: int) -> None:
@@ -271,9 +271,9 @@ class UploadSender:
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
             return
-        complete = self._announced and message.query == self._query
+        complete = self._answer_pending and message.query == self._query
         if complete:
-            self._announced = False
+            self._answer_pending = False
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
         if self._schedule.note_held(message.base, bitmap, now_us, complete=complete):
             self._progress_us = now_us
@@ -284,7 +284,10 @@ class UploadSender:
         return m.UploadChunk(self._tag, index, self._target, data)
 
     def _overdue_us(self) -> int:
-        """Return the time after which a request is repeated; it doubles while no answer arrives."""
+        """Return the time after which a request is repeated.
+
+        It is constant up to the fifth repetition, then doubles with each one up to _OVERDUE_MAX_US.
+        """
         initial_us = _REPEAT_US
         if self.state is SenderState.SENDING:
             initial_us = max(_OVERDUE_MIN_US, self._schedule.rtt_us + self._schedule.rtt_us // 4 + 10_000)
@@ -300,7 +303,7 @@ class UploadSender:
     def _fail_busy(self, message: Message | None, now_us: int) -> None:
         at_once = self._at_tick == m.NO_TICK
         self._fail(
-            "the vehicle is flying and swaps a blob only at an agreed tick"
+            "the vehicle is armed or flying; it swaps a blob only at an agreed tick"
             if at_once
             else "the vehicle flies no reference that the upload could follow"
         )

@@ -18,7 +18,7 @@ class SenderState(Enum):
     """The blob or the tick was refused, and the verdict with the reason has not arrived."""
     COMMITTING = auto()
     DONE = auto()
-    """The blob is live, its takeover is agreed, or it is staged and no commit was requested."""
+    """The blob is live, its swap is agreed, or it is staged and no commit was requested."""
     FAILED = auto()
     """The upload failed; `UploadSender.reason` explains it."""
 

@@ -69,8 +69,8 @@ class Verdict:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Agreement:
-    """Answer to a takeover request: OK, or the result of the refusal with a verdict."""
+class SwapAnswer:
+    """Answer to a swap request: OK, or the result of the refusal with a verdict."""
 
     result: UploadResult = UploadResult.OK
     verdict: Verdict | None = None

@@ -35,6 +35,7 @@ class Body:
 
     def __init__(self, p=(0.0, 0.0, 0.0), yaw=0.0, gain=1.0):
         self.p, self.v, self.w = list(p), [0.0] * 3, [0.0] * 3
+        self.floor = self.p[2]  # down: below the start is the floor, or a table
         c, s = math.cos(yaw), math.sin(yaw)
         self.R = [[c, -s, 0.0], [s, c, 0.0], [0.0, 0.0, 1.0]]
         self.thrust = [0.0] * 4
@@ -55,10 +56,10 @@ class Body:
             total, tx, ty, tz = total + t, tx - y * t, ty + x * t, tz + self.kappa * spin * t
         R, w, J = self.R, self.w, self.J
         a = [-R[i][2] * total / self.mass + (GRAVITY if i == 2 else 0.0) for i in range(3)]
-        on_floor = self.p[2] >= 0.0 and a[2] >= 0.0
+        on_floor = self.p[2] >= self.floor and a[2] >= 0.0
         if on_floor:
             a = [-x / dt for x in self.v]  # the floor's blow is felt
-            self.p[2], self.v, self.w = 0.0, [0.0] * 3, [0.0] * 3
+            self.p[2], self.v, self.w = self.floor, [0.0] * 3, [0.0] * 3
         else:
             for i in range(3):
                 self.p[i] += dt * (self.v[i] + 0.5 * dt * a[i])
@@ -154,8 +155,8 @@ class Rig:
 
     def take_off(self):
         self.standby()
-        assert self.flight.command(Event.ARM, self.now_us) is None
-        assert self.flight.command(Event.START, self.now_us) is None
+        assert self.flight.handle_event(Event.ARM, self.now_us) is None
+        assert self.flight.handle_event(Event.START, self.now_us) is None
 
     def track(self):
         self.take_off()

@@ -130,7 +130,7 @@ def test_every_message_has_a_class_and_uploads_come_last() -> None:
     assert PRIORITIES[message_id(pose())] is Priority.URGENT
     assert PRIORITIES[message_id(timesync())] is Priority.URGENT
     assert PRIORITIES[message_id(command())] is Priority.URGENT
-    assert PRIORITIES[message_id(control())] is PRIORITIES[message_id(estimate())] is Priority.CONTROL
+    assert PRIORITIES[message_id(control())] is PRIORITIES[message_id(estimate())] is Priority.FAST_TELEMETRY
     assert PRIORITIES[message_id(text())] is Priority.STATUS
     assert PRIORITIES[message_id(chunk())] is Priority.UPLOAD
 
@@ -166,7 +166,7 @@ def test_packer_never_splits_nor_exceeds_the_frame() -> None:
 
 def _dropped_control(offered: list[bytes], taken: list[bytes]) -> int:
     gone = set(offered) - set(taken)
-    return sum(PRIORITIES[message_id(message)] is Priority.CONTROL for message in gone)
+    return sum(PRIORITIES[message_id(message)] is Priority.FAST_TELEMETRY for message in gone)
 
 
 def test_packer_keeps_order_within_a_class() -> None:
@@ -203,7 +203,7 @@ def test_packer_with_a_full_queue_refuses_and_counts_but_keeps_the_newest_teleme
     assert packer.refused == 3
     telemetry = [control(k) for k in range(10)]
     assert all(packer.offer(message) for message in telemetry)
-    kept = CAPACITY_BYTES[Priority.CONTROL] // len(control())
+    kept = CAPACITY_BYTES[Priority.FAST_TELEMETRY] // len(control())
     assert packer.refused == 3 + 10 - kept
     assert [packer.take() for _ in range(kept)] == telemetry[-kept:]
 

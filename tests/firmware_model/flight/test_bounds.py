@@ -33,14 +33,14 @@ def leaning(body_type, angle_deg):
 def test_arming_follows_arm_askew_deg(make_rig, make_body, bound_deg, arms):
     rig = make_rig(reference=False, body=leaning(make_body, 6.0), parameters={"ARM_ASKEW_DEG": bound_deg})
     rig.standby()
-    assert (rig.flight.command(Event.ARM, rig.now_us) is None) is arms
+    assert (rig.flight.handle_event(Event.ARM, rig.now_us) is None) is arms
 
 
 @pytest.mark.parametrize(("bound_deg", "arms"), [(5.0, False), (7.0, True)])
 def test_arming_follows_arm_tilt_deg(make_rig, make_body, bound_deg, arms):
     rig = make_rig(reference=False, body=leaning(make_body, 6.0), parameters={"ARM_TILT_DEG": bound_deg})
     rig.standby()
-    assert (rig.flight.command(Event.ARM, rig.now_us) is None) is arms
+    assert (rig.flight.handle_event(Event.ARM, rig.now_us) is None) is arms
 
 
 @pytest.mark.parametrize(("bound", "calibrated"), [(0.05, False), (0.5, True)])
@@ -67,8 +67,8 @@ def test_calibration_follows_arm_gyro_still(make_rig, bound, calibrated):
 def test_pose_in_the_air_is_used_within_its_bounds(make_rig, name, value, north_m, turn_deg, used):
     rig = make_rig(reference=False, parameters={name: value})
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 1.0) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 1.0) is None
     rig.run(8.0, until=State.HOLD)
     rig.mocap = False
     n, e, d = rig.body.p
@@ -83,9 +83,9 @@ def test_pose_in_the_air_is_used_within_its_bounds(make_rig, name, value, north_
 def test_touchdown_follows_its_height_and_speed(name, landed):
     monitor = ConditionMonitor(ParameterValues({**DEFAULTS, **({} if name is None else {name: 0.06})}))
     monitor.start(1_000_000)
-    signs = {"height": 0.1, "speed": 0.1, "descending": True}
-    monitor.has_landed(1_100_000, **signs)
-    assert monitor.has_landed(1_350_000, **signs) is landed
+    signs = {"height": 0.1, "speed": 0.1, "reference_below": True}
+    monitor.update_touchdown(1_100_000, **signs)
+    assert monitor.update_touchdown(1_350_000, **signs) is landed
 
 
 @pytest.mark.parametrize(("height", "lowest_m"), [(0.2, -0.2), (1.0, -1.0)])
@@ -113,8 +113,8 @@ def test_turn_to_a_yaw_follows_offb_turn():
 def test_level_descent_follows_velocity_for_fs_blind_s(make_rig, blind_s):
     rig = make_rig(reference=False, parameters={"FS_BLIND_S": blind_s, "FS_SINK_SPEED": 0.1})
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.0) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 2.0) is None
     rig.run(8.0, until=State.HOLD)
     rig.mocap = False
     rig.run(2.0, until=State.FAILSAFE)

@@ -202,39 +202,41 @@ def monitor():
 
 
 def test_landed_needs_all_signs_for_their_time(monitor):
-    signs = {"height": 0.05, "speed": 0.02, "descending": True}
-    assert not monitor.has_landed(1_100_000, **signs)
-    assert not monitor.has_landed(1_150_000, **{**signs, "height": 0.5})
-    assert not monitor.has_landed(1_340_000, **signs)
-    assert monitor.has_landed(1_350_000, **signs)
-    assert not monitor.has_landed(1_360_000, **{**signs, "speed": 0.3})
-    assert not monitor.has_landed(1_600_000, **{**signs, "descending": False})
+    signs = {"height": 0.05, "speed": 0.02, "reference_below": True}
+    assert not monitor.update_touchdown(1_100_000, **signs)
+    assert not monitor.update_touchdown(1_150_000, **{**signs, "height": 0.5})
+    assert not monitor.update_touchdown(1_340_000, **signs)
+    assert monitor.update_touchdown(1_350_000, **signs)
+    assert not monitor.update_touchdown(1_360_000, **{**signs, "speed": 0.3})
+    assert not monitor.update_touchdown(1_600_000, **{**signs, "reference_below": False})
 
 
 def test_landed_on_the_floor_it_took_off_from_is_at_once(monitor):
-    assert monitor.has_landed(1_000_000, height=0.02, speed=0.5, descending=False)
-    assert not monitor.has_landed(1_010_000, height=0.035, speed=0.5, descending=True)
+    assert monitor.update_touchdown(1_000_000, height=0.02, speed=0.5, reference_below=False)
+    assert not monitor.update_touchdown(1_010_000, height=0.035, speed=0.5, reference_below=True)
 
 
 def test_carried_allows_for_the_thrust_seen_aloft(monitor):
     for _ in range(4_000):
         monitor.update_thrust_ratio(force=9.81, thrust=7.0)
     assert monitor.thrust_ratio == pytest.approx(9.81 / 7.0, rel=1e-6)
-    assert not monitor.is_supported(1_100_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
-    assert not monitor.is_supported(1_350_000, force=9.81, thrust=7.0, floor=4.2, learn=True)
-    assert monitor.is_supported(1_550_000, force=9.81, thrust=5.0, floor=4.2, learn=True)
+    assert not monitor.update_support(1_100_000, force=9.81, thrust=7.0, expected_excess=4.2, learn=True)
+    assert not monitor.update_support(1_350_000, force=9.81, thrust=7.0, expected_excess=4.2, learn=True)
+    assert monitor.update_support(1_550_000, force=9.81, thrust=5.0, expected_excess=4.2, learn=True)
 
 
 def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(monitor):
     now_us = 1_000_000
     for k in range(300):  # thrust is worth half as much again within 3 s
         now_us += 10_000
-        assert not monitor.is_supported(
-            now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), floor=4.2, learn=True
+        assert not monitor.update_support(
+            now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), expected_excess=4.2, learn=True
         )
     thrust = 9.81 / monitor.thrust_ratio
     stepped_us = now_us
-    while not monitor.is_supported(now_us, force=9.81, thrust=thrust - 2.5, floor=4.2, learn=True):
+    while not monitor.update_support(
+        now_us, force=9.81, thrust=thrust - 2.5, expected_excess=4.2, learn=True
+    ):
         now_us += 10_000
     assert now_us - stepped_us <= 250_000
 
@@ -243,9 +245,9 @@ def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(
     ("floor", "excess", "noticed"), [(1.5, 0.9, False), (1.5, 1.2, True), (3.0, 1.2, False), (9.0, 2.2, True)]
 )
 def test_carried_asks_for_half_of_what_a_floor_gives_within_bounds(monitor, floor, excess, noticed):
-    signs = {"force": 9.81, "thrust": 9.81 - excess, "floor": floor, "learn": False}
-    assert not monitor.is_supported(1_000_000, **signs)
-    assert monitor.is_supported(1_210_000, **signs) is noticed
+    signs = {"force": 9.81, "thrust": 9.81 - excess, "expected_excess": floor, "learn": False}
+    assert not monitor.update_support(1_000_000, **signs)
+    assert monitor.update_support(1_210_000, **signs) is noticed
 
 
 def test_defaults_give_mocap_less_time_than_the_link():

@@ -104,8 +104,8 @@ def test_mocap_lost_and_then_late_is_the_level_descent(make_rig):
 def test_level_descent_ends_on_the_floor_where_thrust_is_worth_more_or_less_below(make_rig, high, low):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.0) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 2.0) is None
 
     def fly():
         share = min(max((-rig.body.p[2] - 0.5) / 1.5, 0.0), 1.0)
@@ -131,8 +131,8 @@ def test_level_descent_ends_on_the_floor_where_thrust_is_worth_more_or_less_belo
 def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.95) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 2.95) is None
     rig.run(20.0, until=State.HOLD)
     rig.run(1.0)
     rig.mocap = False
@@ -149,10 +149,10 @@ def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig)
 def test_one_pose_far_below_during_a_landing_does_not_stop_the_rotors(make_rig, height_m, down_m):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, 2.0) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 2.0) is None
     rig.run(15.0, until=State.HOLD)
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     while -rig.body.p[2] > height_m:
         rig.run(0.01)
     n, e, d = rig.body.p
@@ -235,12 +235,12 @@ def test_geofence_left_lands_in_place(make_rig):
 def test_geofence_ends_a_flight_by_rates_too(make_rig):
     rig = make_rig(reference=False, parameters={"FENCE_D_MIN": -2.0})
     rig.standby()
-    rig.flight.command(Event.ARM, rig.now_us)
-    rig.flight.command(Event.TAKEOFF, rig.now_us)
+    rig.flight.handle_event(Event.ARM, rig.now_us)
+    rig.flight.handle_event(Event.TAKEOFF, rig.now_us)
     rig.run(10.0, until=State.HOLD)
     rise = AttitudeTarget(thrust=0.25, rate=(0.0, 0.0, 0.0))
     rig.flight.setpoint(rise, rig.now_us)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) is None
     while rig.body.p[2] > -2.5:
         rig.flight.setpoint(rise, rig.now_us)
         rig.run(0.01)
@@ -264,7 +264,7 @@ def test_battery_low_lands_in_place(make_rig):
     assert struck_after(rig, Event.BATTERY_LOW) == pytest.approx(expected, rel=0.02)
     landed_softly(rig)
     rig.run(0.2)
-    assert rig.flight.command(Event.ARM, rig.now_us) == "battery low: charge it"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "battery low: charge it"
 
 
 def test_one_voltage_that_is_no_number_ends_nothing_and_hides_nothing(make_rig):
@@ -284,8 +284,8 @@ def test_motors_saturated_for_long_land_in_place(make_rig, make_body):
     limits = {"THRUST_MAX": 2.5, "LIM_THR_HI": 1.0, "FS_SAT_S": 0.5}
     rig = make_rig(reference=False, parameters=limits, body=make_body(gain=2.5 / DEFAULTS["THRUST_MAX"]))
     rig.standby()
-    rig.flight.command(Event.ARM, rig.now_us)
-    rig.flight.command(Event.TAKEOFF, rig.now_us, 3.0)
+    rig.flight.handle_event(Event.ARM, rig.now_us)
+    rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 3.0)
     rig.run(10.0, until=State.HOLD)
     assert rig.flight.saturated_ticks < 100
     rig.body.mass *= 1.5
@@ -368,13 +368,13 @@ def test_what_would_end_a_flight_refuses_arming(make_rig, spoil, reason):
     spoil(rig)
     rig.run(12.0)
     assert reason in rig.flight.arming_reasons(rig.now_us)
-    assert rig.flight.command(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == rig.flight.arming_reasons(rig.now_us)[0]
 
 
 def hovering(rig, height=2.0):
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, height) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, height) is None
     rig.run(15.0, until=State.HOLD)
     rig.run(0.5)
 
@@ -384,12 +384,12 @@ def test_vehicle_that_was_killed_in_the_air_is_not_armed_in_its_fall(make_rig, a
     """It would take the height where it was armed for the floor."""
     rig = make_rig(reference=False)
     hovering(rig, 3.0)
-    assert rig.flight.command(Event.KILL, rig.now_us) is None
+    assert rig.flight.handle_event(Event.KILL, rig.now_us) is None
     rig.run(after_s)
     assert rig.body.p[2] < -2.0
-    assert rig.flight.command(Event.ARM, rig.now_us) == "moving: let it stand still"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "moving: let it stand still"
     rig.run(3.0)
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
 
 
 def test_vehicle_is_not_armed_while_it_is_carried_about(make_rig):
@@ -416,7 +416,7 @@ def test_poses_askew_are_not_armed_with(make_rig, make_body, askew_deg, reason):
 
     rig = make_rig(reference=False, body=Askew())
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) == reason
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == reason
 
 
 def test_battery_too_low_for_the_live_reference_refuses_arming_and_start(make_rig):
@@ -426,16 +426,16 @@ def test_battery_too_low_for_the_live_reference_refuses_arming_and_start(make_ri
     rig.battery_v = 13.58
     rig.standby()
     assert rig.flight.arming_reasons(rig.now_us) == [text]
-    assert rig.flight.command(Event.ARM, rig.now_us) == text
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == text
     assert len(f"start refused: {text}") <= 50
     rig.battery_v = 16.8
     rig.run(3.0)
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     rig.battery_v = 13.58
     rig.run(30.0)
-    assert rig.flight.command(Event.START, rig.now_us) == text
+    assert rig.flight.handle_event(Event.START, rig.now_us) == text
     assert rig.flight.state is State.ARMED
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None  # nothing is known of what it is for
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us) is None  # nothing is known of what it is for
 
 
 @pytest.mark.parametrize("spare", ["no reference", "no voltage"])
@@ -462,5 +462,5 @@ def test_next_arming_clears_the_failsafe(make_rig):
     rig.host = True
     rig.run(0.2)
     assert rig.flight.conditions == 0
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     assert rig.flight.failsafe is Failsafe.NONE

@@ -51,10 +51,21 @@ def test_hold_lasts_as_long_as_the_parameter_says(make_rig):
     assert rig.now_us - start == 500_000
 
 
+def test_vehicle_armed_on_a_table_learns_neither_thrust_ratio_nor_disturbance(make_rig, make_body):
+    rig = make_rig(body=make_body(p=(0.0, 0.0, -1.0)))
+    rig.standby()
+    assert rig.flight.height_m > 2.0 * DEFAULTS["LAND_HEIGHT"]
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    rig.run(1.0)
+    assert rig.flight.state is State.ARMED
+    assert rig.flight.monitor.thrust_ratio == 1.0
+    assert rig.flight._observing[0] == 0.0
+
+
 def test_boot_ends_after_its_time_and_arms_nothing_before(make_rig):
     rig = make_rig()
     rig.run(0.1)
-    assert rig.flight.command(Event.ARM, rig.now_us) == "still booting"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "still booting"
     rig.run(1.0, until=State.STANDBY)
     assert 200_000 <= rig.now_us <= 211_000
 
@@ -69,10 +80,10 @@ def test_gyro_calibration_finds_the_bias_before_the_flight(make_rig):
 def test_start_without_reference_is_refused_with_the_reason_and_arming_warns(make_rig):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     rig.tick()
     assert "no live reference: start will be refused" in rig.texts
-    assert rig.flight.command(Event.START, rig.now_us) == "no live reference: upload one"
+    assert rig.flight.handle_event(Event.START, rig.now_us) == "no live reference: upload one"
     assert rig.flight.state is State.ARMED
 
 
@@ -80,10 +91,10 @@ def test_arm_without_mocap_is_refused_with_the_reason(make_rig):
     rig = make_rig()
     rig.mocap = False
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) == "no mocap"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "no mocap"
     rig.mocap = True
     rig.run(0.1)
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
 
 
 def test_arm_while_shaken_is_refused_as_not_calibrated(make_rig):
@@ -91,7 +102,7 @@ def test_arm_while_shaken_is_refused_as_not_calibrated(make_rig):
     for k in range(1_000):
         rig.body.w = [0.5 * math.sin(0.3 * k), 0.0, 0.0]
         rig.tick()
-    assert rig.flight.command(Event.ARM, rig.now_us) == "gyro not calibrated: keep still"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "gyro not calibrated: keep still"
 
 
 def test_arm_when_tilted_is_refused_with_the_reason(make_rig, make_body):
@@ -101,13 +112,13 @@ def test_arm_when_tilted_is_refused_with_the_reason(make_rig, make_body):
     body.force = (0.0, -9.81 * s, -9.81 * c)
     rig = make_rig(body=body)
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) == "tilted"
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) == "tilted"
 
 
 def test_armed_without_start_disarms_after_its_time(make_rig):
     rig = make_rig(parameters={"IDLE_S": 2.0})
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     start = rig.now_us
     rig.run(3.0, until=State.STANDBY)
     assert 2_000_000 <= rig.now_us - start <= 2_020_000
@@ -214,14 +225,14 @@ def test_tilt_beyond_its_bound_stops_the_motors(make_rig):
 def test_failures_on_the_floor_disarm_without_a_failsafe_flight(make_rig):
     rig = make_rig()
     rig.standby()
-    rig.flight.command(Event.ARM, rig.now_us)
+    rig.flight.handle_event(Event.ARM, rig.now_us)
     rig.mocap = False
     rig.run(1.0)
     assert rig.flight.state is State.STANDBY
     assert rig.flight.failsafe is Failsafe.MOCAP_LOST
     rig.mocap = True
     rig.run(0.1)
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     assert rig.flight.failsafe is Failsafe.NONE
 
 
@@ -230,7 +241,7 @@ def test_land_command_in_full_flight_brakes_and_comes_down_near(make_rig):
     rig.track()
     rig.run(0.9)
     place = tuple(rig.body.p)
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     rig.run(10.0, until=State.STANDBY)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
     assert math.dist(rig.body.p[:2], place[:2]) < 1.0
@@ -240,8 +251,8 @@ def test_land_command_in_full_flight_brakes_and_comes_down_near(make_rig):
 def test_disarm_in_flight_is_refused_and_kill_is_not(make_rig):
     rig = make_rig()
     rig.track()
-    assert rig.flight.command(Event.DISARM, rig.now_us) is not None
-    assert rig.flight.command(Event.KILL, rig.now_us) is None
+    assert rig.flight.handle_event(Event.DISARM, rig.now_us) is not None
+    assert rig.flight.handle_event(Event.KILL, rig.now_us) is None
     rig.tick()
     assert max(rig.command) == 0.0
 
@@ -260,8 +271,8 @@ def test_second_flight_after_the_first_works_the_same(make_rig):
     rig = make_rig()
     for _ in range(2):
         rig.standby()
-        assert rig.flight.command(Event.ARM, rig.now_us) is None
-        rig.flight.command(Event.START, rig.now_us)
+        assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+        rig.flight.handle_event(Event.START, rig.now_us)
         rig.run(20.0, until=State.STANDBY)
         rig.run(0.1)
         assert rig.body.p[2] == 0.0

@@ -62,14 +62,14 @@ class Checks:
 
 def hovering(rig, height=None):
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us, height) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, height) is None
     rig.run(20.0, until=State.HOLD)
 
 
 def offboard(rig, target):
     rig.flight.setpoint(target, rig.now_us)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) is None
     assert rig.flight.state is State.OFFBOARD
     return Checks(rig)
 
@@ -85,7 +85,7 @@ def test_takeoff_climbs_to_its_height_and_hovers_until_told_otherwise(make_rig, 
     assert rig.flight.state is State.HOLD
     assert rig.body.p == pytest.approx([0.5, -0.3, -height], abs=0.02)
     assert ("takeoff bounded by the fence: 6.00 m" in rig.texts) == (asked == 99.0)
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     rig.run(20.0, until=State.STANDBY)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
     assert rig.flight.failsafe is Failsafe.NONE
@@ -94,7 +94,7 @@ def test_takeoff_climbs_to_its_height_and_hovers_until_told_otherwise(make_rig, 
 def test_start_from_the_hover_goes_to_the_first_node_and_tracks(make_rig, make_body):
     rig = make_rig(body=make_body(p=(-0.8, 0.4, 0.0)))
     hovering(rig, 1.5)
-    assert rig.flight.command(Event.START, rig.now_us) is None
+    assert rig.flight.handle_event(Event.START, rig.now_us) is None
     checks = Checks(rig)
     while rig.flight.state is not State.TRACKING:
         checks.tick()
@@ -109,13 +109,13 @@ def test_start_from_the_hover_goes_to_the_first_node_and_tracks(make_rig, make_b
 def test_start_during_a_takeoff_to_a_hover_is_refused_and_a_second_takeoff_too(make_rig):
     rig = make_rig()
     rig.standby()
-    rig.flight.command(Event.ARM, rig.now_us)
-    rig.flight.command(Event.TAKEOFF, rig.now_us)
+    rig.flight.handle_event(Event.ARM, rig.now_us)
+    rig.flight.handle_event(Event.TAKEOFF, rig.now_us)
     rig.run(0.5)
-    assert rig.flight.command(Event.START, rig.now_us) == "still taking off"
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None  # said twice, done once
+    assert rig.flight.handle_event(Event.START, rig.now_us) == "still taking off"
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us) is None  # said twice, done once
     rig.run(10.0, until=State.HOLD)
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us) == "in the air already"
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us) == "in the air already"
 
 
 def test_hold_in_full_flight_stops_and_stays_and_the_reference_is_not_flown_again(make_rig):
@@ -124,7 +124,7 @@ def test_hold_in_full_flight_stops_and_stays_and_the_reference_is_not_flown_agai
     rig.run(0.9)
     checks = Checks(rig)
     checks.tick()
-    assert rig.flight.command(Event.HOLD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.HOLD, rig.now_us) is None
     for _ in range(3_000):
         checks.tick()
     place = tuple(rig.body.p)
@@ -132,7 +132,7 @@ def test_hold_in_full_flight_stops_and_stays_and_the_reference_is_not_flown_agai
     assert rig.flight.state is State.HOLD
     assert math.dist(rig.body.p, place) < 0.01
     assert checks.worst < 0.06
-    assert rig.flight.command(Event.START, rig.now_us) == "flown already: land, then arm again"
+    assert rig.flight.handle_event(Event.START, rig.now_us) == "flown already: land, then arm again"
 
 
 def test_hold_after_a_reference_lands_unless_told_to_hold(make_rig):
@@ -140,7 +140,7 @@ def test_hold_after_a_reference_lands_unless_told_to_hold(make_rig):
     rig.track()
     rig.run(10.0, until=State.HOLD)
     rig.run(0.5)
-    assert rig.flight.command(Event.HOLD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.HOLD, rig.now_us) is None
     rig.run(10.0)
     assert rig.flight.state is State.HOLD
 
@@ -150,15 +150,15 @@ def test_land_works_from_everything_in_the_air(make_rig, state):
     rig = make_rig(reference=False)
     if state is State.TAKEOFF:
         rig.standby()
-        rig.flight.command(Event.ARM, rig.now_us)
-        rig.flight.command(Event.TAKEOFF, rig.now_us)
+        rig.flight.handle_event(Event.ARM, rig.now_us)
+        rig.flight.handle_event(Event.TAKEOFF, rig.now_us)
         rig.run(1.2)
     else:
         hovering(rig)
     if state is State.OFFBOARD:
         offboard(rig, velocity(1.0, 0.0, 0.0)).stream(1.0, lambda t: velocity(1.0, 0.0, 0.0))
     assert rig.flight.state is state
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     rig.run(10.0, until=State.STANDBY)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
 
@@ -169,18 +169,18 @@ def test_land_works_from_everything_in_the_air(make_rig, state):
 def test_offboard_needs_setpoints_and_arming(make_rig):
     rig = make_rig(reference=False)
     rig.standby()
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "not armed"
-    rig.flight.command(Event.ARM, rig.now_us)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
-    rig.flight.command(Event.TAKEOFF, rig.now_us)
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) == "not armed"
+    rig.flight.handle_event(Event.ARM, rig.now_us)
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
+    rig.flight.handle_event(Event.TAKEOFF, rig.now_us)
     rig.run(10.0, until=State.HOLD)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
     rig.flight.setpoint(position(0.0, 0.0, -1.0), rig.now_us)
     rig.run(0.501)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) == "no setpoints: stream them first"
     rig.flight.setpoint(position(0.0, 0.0, -1.0), rig.now_us)
     rig.run(0.5)
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) is None
 
 
 def test_position_steps_are_flown_smoothly_within_acceleration_and_end_where_asked(make_rig):
@@ -302,7 +302,7 @@ def test_setpoints_that_come_back_need_the_command_again(make_rig):
     checks = Checks(rig)
     checks.stream(0.5, lambda t: velocity(0.5, 0.0, 0.0))
     assert rig.flight.state is State.HOLD
-    assert rig.flight.command(Event.OFFBOARD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) is None
     checks.stream(12.0, lambda t: velocity(0.0, 0.0, 0.0))
     assert rig.flight.state is State.OFFBOARD
 
@@ -312,7 +312,7 @@ def test_setpoints_that_come_back_need_the_command_again(make_rig):
 
 def armed(rig):
     rig.standby()
-    assert rig.flight.command(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
     return rig
 
 
@@ -333,7 +333,7 @@ def test_offboard_from_the_floor_rises_first_and_then_goes_where_asked(make_rig,
     assert checks.hardest < 1.01 * DEFAULTS["OFFB_ACCEL"]
     assert rig.flight.flight_ticks > ticks + 6_000
     assert rig.seen[-2:] == [State.STANDBY, State.OFFBOARD]
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     rig.run(10.0, until=State.STANDBY)
     assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
     assert rig.flight.failsafe is Failsafe.NONE
@@ -364,7 +364,7 @@ def test_offboard_left_on_the_floor_lands_at_once_and_setpoints_lost_there_land_
     rig.run(3.0, until=State.STANDBY)
     armed(rig)
     offboard(rig, velocity(0.0, 0.0, 0.0))
-    assert rig.flight.command(Event.LAND, rig.now_us) is None
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
     rig.run(0.05, until=State.STANDBY)
     assert rig.flight.failsafe is Failsafe.NONE
 
@@ -372,8 +372,8 @@ def test_offboard_left_on_the_floor_lands_at_once_and_setpoints_lost_there_land_
 def test_start_from_a_hold_on_the_floor_climbs_before_it_goes_to_the_side(make_rig, make_body):
     rig = armed(make_rig(body=make_body(p=(-1.0, 0.5, 0.0))))
     offboard(rig, velocity(0.0, 0.0, 0.0)).stream(0.5, lambda t: velocity(0.0, 0.0, 0.0))
-    rig.flight.command(Event.HOLD, rig.now_us)
-    assert rig.flight.command(Event.START, rig.now_us) is None
+    rig.flight.handle_event(Event.HOLD, rig.now_us)
+    assert rig.flight.handle_event(Event.START, rig.now_us) is None
     while rig.body.p[2] > -0.9:
         rig.run(0.05)
         assert math.dist(rig.body.p[:2], (-1.0, 0.5)) < 0.02
@@ -384,7 +384,7 @@ def test_start_from_a_hold_on_the_floor_climbs_before_it_goes_to_the_side(make_r
 @pytest.mark.parametrize("height", [0.02, 0.5])
 def test_offboard_takes_over_a_takeoff(make_rig, height):
     rig = armed(make_rig(reference=False))
-    assert rig.flight.command(Event.TAKEOFF, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us) is None
     while rig.body.p[2] > -height:
         rig.tick()
     checks = offboard(rig, position(0.5, 0.0, -1.0))
@@ -402,7 +402,7 @@ def test_rates_and_thrust_lift_off_and_hold_takes_over(make_rig):
     assert rig.flight.rotors_on
     checks.stream(1.0, lambda t: AttitudeTarget(thrust=1.1 * HOVER, rate=(0.0, 0.0, 0.0)))
     assert rig.body.p[2] < -0.3
-    assert rig.flight.command(Event.HOLD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.HOLD, rig.now_us) is None
     rig.run(3.0)
     assert math.hypot(*rig.body.v) < 0.05
     assert rig.flight.failsafe is Failsafe.NONE
@@ -470,7 +470,7 @@ def test_rates_and_thrust_are_flown_as_commanded_and_hold_takes_over_without_a_j
     assert list(rig.flight.outputs["rate_cmd"]) == [0.5, 0.0, 0.6]
     assert rig.flight.outputs["collective_n"][0] == pytest.approx(DEFAULTS["MASS"] * 9.81)
     start = tuple(rig.flight.outputs["motor_command"])
-    assert rig.flight.command(Event.HOLD, rig.now_us) is None
+    assert rig.flight.handle_event(Event.HOLD, rig.now_us) is None
     rig.tick()
     assert max(abs(a - b) for a, b in zip(start, rig.flight.outputs["motor_command"], strict=True)) < 0.15
     rig.run(3.0)

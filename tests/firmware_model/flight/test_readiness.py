@@ -139,7 +139,7 @@ def test_reasons_are_told_all_at_once_and_fit_a_text():
 
 
 @pytest.mark.parametrize(
-    ("rising", "flown", "reference"),
+    ("to_hover", "flown", "reference"),
     [
         (True, False, True),
         (False, True, True),
@@ -147,9 +147,9 @@ def test_reasons_are_told_all_at_once_and_fit_a_text():
         (False, False, True),
     ],
 )
-def test_refusals_of_a_start_fit_a_text(make_track, rising, flown, reference):
+def test_refusals_of_a_start_fit_a_text(make_track, to_hover, flown, reference):
     track = make_track() if reference else None
-    text = start_refusal(track, rising=rising, flown=flown, battery="battery at 13.40 V, below 13.60 V")
+    text = start_refusal(track, to_hover=to_hover, flown=flown, battery="battery at 13.40 V, below 13.60 V")
     assert len(f"start refused: {text}") <= TEXT_BYTES
 
 

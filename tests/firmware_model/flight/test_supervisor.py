@@ -37,7 +37,7 @@ def test_flight_as_planned_visits_the_phases_in_order():
         Event.BOOTED,
         Event.ARM,
         Event.START,
-        Event.CLIMBED,
+        Event.START_REACHED,
         Event.REFERENCE_ENDED,
         Event.HELD,
         Event.TOUCHDOWN,

@@ -38,7 +38,7 @@ def _correct(ops, p, v, q, bias, rate, a, p_meas, q_meas, times):
 
 
 def _control(ops, p, v, rpy, rate, filtered, integral, flat, yaw, ff):
-    ref = dfbc.Reference(flat[0:3], flat[3:6], flat[6:9], flat[9:12], yaw[0], yaw[1])
+    ref = dfbc.FlatState(flat[0:3], flat[3:6], flat[6:9], flat[9:12], yaw[0], yaw[1])
     return dfbc.control(
         ops, law.gains(PARAMETERS), law.body(PARAMETERS), p, v, _attitude(ops, rpy), rate, filtered, integral,
         ref, ff[0:3], (1.0, 0.5), ff[3:6], ff[6:8],

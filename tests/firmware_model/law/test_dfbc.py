@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, Reference, control
+from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, FlatState, control
 from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
@@ -26,7 +26,7 @@ vector = st.tuples(number, number, number)
 def _hover(**changes):
     given_ = {
         "p": ZERO, "v": ZERO, "R": LEVEL, "rate": ZERO, "rate_filtered": ZERO, "integral": ZERO,
-        "ref": Reference(ZERO, ZERO, ZERO, ZERO, 0.0, 0.0),
+        "ref": FlatState(ZERO, ZERO, ZERO, ZERO, 0.0, 0.0),
     }  # fmt: skip
     given_.update(changes)
     return control(FLOAT, GAINS, BODY, **given_)
@@ -42,7 +42,7 @@ def test_control_at_hover_carries_the_weight():
 def test_control_on_the_reference_only_feeds_forward(v, a, j, yaw):
     R, thrust = flat_attitude(FLOAT, a, yaw)
     rate = flat_rates(FLOAT, a, j, yaw, 0.5)
-    ref = Reference((1.0, 2.0, 3.0), v, a, j, yaw, 0.5)
+    ref = FlatState((1.0, 2.0, 3.0), v, a, j, yaw, 0.5)
     collective, torque, rate_cmd, _ = _hover(p=ref.p, v=v, R=R, rate=rate, rate_filtered=rate, ref=ref)
     assert collective == pytest.approx(BODY.mass_kg * thrust)
     assert rate_cmd == pytest.approx(rate, abs=1e-9)
@@ -54,7 +54,7 @@ def test_control_on_the_reference_only_feeds_forward(v, a, j, yaw):
 def test_control_at_the_commanded_rate_leaves_the_gyroscopic_torque_which_does_no_work(rate):
     """With every other term gone the torque is omega x J omega; omega . that is zero."""
     gains = GAINS._replace(rate=ZERO, rate_derivative=ZERO)
-    ref = Reference(ZERO, ZERO, ZERO, ZERO, 0.0, 0.0)
+    ref = FlatState(ZERO, ZERO, ZERO, ZERO, 0.0, 0.0)
     _, torque, _, _ = control(FLOAT, gains, BODY, ZERO, ZERO, LEVEL, rate, ZERO, ZERO, ref)
     assert torque == pytest.approx(np.cross(rate, np.multiply(BODY.inertia, rate)), abs=1e-15)
     assert np.dot(rate, torque) == pytest.approx(0.0, abs=1e-15)
@@ -88,7 +88,7 @@ def test_control_far_off_bounds_the_feedback_in_its_direction():
 
 
 def test_control_asked_to_fall_keeps_the_least_thrust():
-    ref = Reference(ZERO, ZERO, (0.0, 0.0, 2 * GRAVITY), ZERO, 0.0, 0.0)
+    ref = FlatState(ZERO, ZERO, (0.0, 0.0, 2 * GRAVITY), ZERO, 0.0, 0.0)
     collective, *_ = _hover(ref=ref)
     assert collective == pytest.approx(BODY.mass_kg * GRAVITY * GAINS.thrust_floor)
 

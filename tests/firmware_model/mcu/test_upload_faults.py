@@ -54,7 +54,7 @@ class RecordedFlash(Flash):
 
 def old_memory() -> bytes:
     """Memory with a live reference, one before it and a parameter."""
-    store = ReferenceStore(bank_bytes=BANK_BYTES)
+    store = ReferenceStore(blob_bytes_max=BANK_BYTES)
     for blob in (b"the one before", OLD):
         store.stage(REFERENCE, blob)
         store.commit(REFERENCE)
@@ -100,7 +100,7 @@ class Upload:
     def start_vehicle(self) -> None:
         """Power is there, after whatever was: what is in memory is all there is."""
         self.flash = RecordedFlash(self.flash.image)
-        self.store = ReferenceStore(self.flash, bank_bytes=BANK_BYTES)
+        self.store = ReferenceStore(self.flash, blob_bytes_max=BANK_BYTES)
         self.receiver = UploadReceiver(
             self.store,
             check=lambda kind, blob: Verdict(ok=blob == self.blob),
@@ -111,7 +111,7 @@ class Upload:
 
     def fault(self) -> None:
         """From now on chunks that come again are counted."""
-        found = ReferenceStore(Flash(bytearray(self.flash.image)), bank_bytes=BANK_BYTES)
+        found = ReferenceStore(Flash(bytearray(self.flash.image)), blob_bytes_max=BANK_BYTES)
         incoming = found.incoming()
         self.in_memory = set()
         if incoming is not None and incoming.digest == self.sender.digest:
@@ -127,7 +127,7 @@ class Upload:
         self.asleep_until_us = self.now_us + off_us
 
     def live_is_whole(self) -> bool:
-        live = ReferenceStore(Flash(bytearray(self.flash.image)), bank_bytes=BANK_BYTES).live(REFERENCE)
+        live = ReferenceStore(Flash(bytearray(self.flash.image)), blob_bytes_max=BANK_BYTES).live(REFERENCE)
         return live in (OLD, self.blob)
 
     def slot(self) -> None:

@@ -33,7 +33,7 @@ class Server:
             self.store,
             check=lambda kind, blob: verdict or Verdict(ok=True),
             may_commit=lambda kind: True,
-            capacity=self.store.bank_bytes,
+            capacity=self.store.blob_bytes_max,
         )
         self.texts, self.events, self.sent = [], [], []
         files = BlobFiles(
@@ -264,7 +264,7 @@ def test_empty_file_is_refused_with_a_text_and_leaves_what_was_staged():
 def test_file_that_is_too_large_is_refused_while_it_is_written():
     server = Server()
     server.one(Opcode.CREATE_FILE, data=STAGED.encode())
-    most = server.store.bank_bytes
+    most = server.store.blob_bytes_max
     assert nak(server.one(Opcode.WRITE_FILE, offset=most, data=b"x"), Error.INVALID_DATA_SIZE)
     assert nak(server.one(Opcode.WRITE_FILE, offset=0xFFFF_FFFF, data=b"x"), Error.INVALID_DATA_SIZE)
     assert server.one(Opcode.WRITE_FILE, offset=most - 1, data=b"x").opcode == Opcode.ACK

@@ -54,7 +54,7 @@ def test_stored_parameters_that_the_table_no_longer_takes_are_left_out(make_sess
     session = make_session(store=store)
     session.run(0.1)
     assert session.flight.parameters["POS_P_N"] == DEFAULTS["POS_P_N"]
-    assert "memory: the set parameters do not fit" in session.texts()
+    assert "memory: parameters changed by the user do not fit" in session.texts()
 
 
 @pytest.mark.parametrize("beginning", [b"", MAGIC])

@@ -66,17 +66,17 @@ def test_kinds_are_kept_apart():
 @pytest.mark.parametrize("blob", [b"", bytes(17)])
 def test_stage_of_a_blob_that_does_not_fit_is_refused(blob):
     with pytest.raises(ValueError, match="1 to 16 bytes"):
-        ReferenceStore(bank_bytes=16).stage(REF, blob)
+        ReferenceStore(blob_bytes_max=16).stage(REF, blob)
 
 
 def again(store):
     """The store after a power cycle."""
-    return ReferenceStore(Flash(bytearray(store.flash.image)), bank_bytes=store.bank_bytes)
+    return ReferenceStore(Flash(bytearray(store.flash.image)), blob_bytes_max=store.blob_bytes_max)
 
 
 def test_live_staged_and_gathered_survive_a_power_cycle():
     blob = random.Random(1).randbytes(1_000)
-    store = ReferenceStore(bank_bytes=2_000)
+    store = ReferenceStore(blob_bytes_max=2_000)
     store.stage(REF, b"old")
     store.commit(REF)
     store.stage(REF, b"new")
@@ -96,7 +96,7 @@ def test_live_staged_and_gathered_survive_a_power_cycle():
 
 def test_chunk_that_no_longer_matches_its_mark_is_not_held():
     blob = random.Random(2).randbytes(300)
-    store = ReferenceStore(bank_bytes=300)
+    store = ReferenceStore(blob_bytes_max=300)
     store.begin(REF, len(blob), hashlib.sha256(blob).digest())
     for index in range(4):
         store.put(REF, index, blob[99 * index : 99 * (index + 1)])
@@ -108,7 +108,7 @@ def test_chunk_that_no_longer_matches_its_mark_is_not_held():
 
 def test_last_chunk_of_four_bytes_is_not_held_before_it_came():
     """Four erased bytes have the checksum of four erased bytes."""
-    store = ReferenceStore(bank_bytes=300)
+    store = ReferenceStore(blob_bytes_max=300)
     store.begin(REF, 103, bytes(32))
     incoming = again(store).incoming()
     assert incoming is not None
@@ -134,7 +134,7 @@ def test_live_blob_that_is_damaged_gives_way_to_the_one_before_it():
 @pytest.mark.parametrize("seed", range(5))
 def test_memory_full_of_garbage_boots_with_nothing_live_and_says_so(seed):
     size = memory_bytes(1_000)
-    store = ReferenceStore(Flash(bytearray(random.Random(seed).randbytes(size))), bank_bytes=1_000)
+    store = ReferenceStore(Flash(bytearray(random.Random(seed).randbytes(size))), blob_bytes_max=1_000)
     assert store.faults == ["memory damaged and erased: nothing is live"]
     assert (store.live(REF), store.staged(REF), store.incoming()) == (None, None, None)
     store.stage(REF, b"one")
@@ -147,7 +147,7 @@ def test_memory_full_of_garbage_boots_with_nothing_live_and_says_so(seed):
 def test_memory_of_garbage_behind_a_right_beginning_boots_with_nothing_live_and_says_so(seed):
     image = bytearray(random.Random(seed).randbytes(memory_bytes(1_000)))
     image[: len(MAGIC)] = MAGIC
-    store = ReferenceStore(Flash(image), bank_bytes=1_000)
+    store = ReferenceStore(Flash(image), blob_bytes_max=1_000)
     assert len(store.faults) == 5  # four banks and the parameters
     assert (store.live(REF), store.staged(REF), store.incoming()) == (None, None, None)
     store.stage(REF, b"one")
@@ -156,7 +156,7 @@ def test_memory_of_garbage_behind_a_right_beginning_boots_with_nothing_live_and_
 
 
 def test_log_of_a_bank_that_is_full_of_torn_commits_refuses_and_the_next_upload_mends_it():
-    store = ReferenceStore(bank_bytes=300)
+    store = ReferenceStore(blob_bytes_max=300)
     store.stage(REF, b"old")
     store.commit(REF)
     store.stage(REF, b"new")
