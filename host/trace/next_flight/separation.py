@@ -20,12 +20,12 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, LAGS, SEGMENT_S
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import Prior, Process
+from trimtab.host.trace.evidence import DisturbanceVariances, Prior
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
-from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
+from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
 from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.allocation import allocation_inverse
 
@@ -113,7 +113,7 @@ class Instruments:
     sigma: np.ndarray
     shares: np.ndarray
     voltage: np.ndarray
-    process: Process
+    process: DisturbanceVariances
     in_newton: bool
     rate_driven: bool
 
@@ -267,11 +267,14 @@ def information(
     count = len(data.flight)
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
-    part, local = data.take(rolled), np.zeros((1, LOCALS))
+    part, nuisances = data.take(rolled), np.zeros((1, NUISANCES))
     part = _kept_on_path(segment_model, part, theta_scaled)
-    basis = linearise.basis(segment_model, part, theta_scaled, local)
+    basis = linearise.basis(segment_model, part, theta_scaled, nuisances)
     lin = linearise.project(
-        linearise.linearise(segment_model, part, theta_scaled, local, basis), part, theta_scaled, local
+        linearise.linearise(segment_model, part, theta_scaled, nuisances, basis),
+        part,
+        theta_scaled,
+        nuisances,
     )
     lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
     return evidence.whitened(lin, instruments.process, segment_model.space.prior).gram[1:, 1:]
@@ -285,10 +288,10 @@ def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.
     vehicle and are not compensated.
     """
     start = data.x0.T[:, None, :]
-    local = np.zeros((LOCALS, *start.shape[1:]))
+    nuisances = np.zeros((NUISANCES, *start.shape[1:]))
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
-        predicted = rollout.roll_out(segment_model, data, start, theta_scaled[:, None], local)[:, 6:9, 0]
+        predicted = rollout.roll_out(segment_model, data, start, theta_scaled[:, None], nuisances)[:, 6:9, 0]
         error = data.rate_frd - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (error[:, per_bin - 1 : -1 : per_bin] + error[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(error[:, :1]), inner, error[:, -1:]], axis=1)
@@ -302,8 +305,8 @@ def _flown_information(segment_model: SegmentModel, fit: SegmentFit, theta_scale
     """Return the information (P, P) of the fitted flights, linearised at theta_scaled (P,)."""
     lin = fit.lin
     if not np.array_equal(theta_scaled, fit.theta_scaled):
-        grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.local, fit.basis)
-        lin = linearise.project(grams, fit.data, theta_scaled, fit.local)
+        grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)
+        lin = linearise.project(grams, fit.data, theta_scaled, fit.nuisances)
     return evidence.whitened(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
 
 
