@@ -17,8 +17,9 @@ from trimtab.host.route import list_routes, load_route, route_description
 from trimtab.host.trace.data.cutting import DT_S
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import DisturbanceVariances
+from trimtab.host.trace.next_flight.information import Instruments, information
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
-from trimtab.host.trace.next_flight.separation import Instruments, information, separation
+from trimtab.host.trace.next_flight.separation import separation
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle

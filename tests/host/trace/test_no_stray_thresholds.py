@@ -57,13 +57,15 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "CHANNELS": "size of a bin's residual",
         "WINDOWS": "basis of the autoregression",
     },
+    "next_flight/information.py": {
+        "_ROLLED": "number of segments of a manoeuvre that are rolled out",
+        "_TURNS": "number of iterations that keep a manoeuvre on its path",
+    },
     "next_flight/manoeuvres.py": {
         "PACES": "grid of paces that are tried",
     },
     "next_flight/separation.py": {
         "SIGMA_MAX": "greatest separation that a linearisation can mean; greater ones are clipped",
-        "_ROLLED": "number of segments of a manoeuvre that are rolled out",
-        "_TURNS": "number of iterations that keep a manoeuvre on its path",
     },
     "prediction.py": {
         "_LEAD_S": "time in which a segment's start settles",
