@@ -16,9 +16,10 @@ from trimtab.host.effects import load_effects
 from trimtab.host.route import list_routes, load_route, route_description
 from trimtab.host.trace.data.cutting import DT_S
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import Process
+from trimtab.host.trace.evidence import DisturbanceVariances
+from trimtab.host.trace.next_flight.information import Instruments, information
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
-from trimtab.host.trace.next_flight.separation import Instruments, information, separation
+from trimtab.host.trace.next_flight.separation import separation
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
@@ -27,7 +28,7 @@ INSTRUMENTS = Instruments(
     sigma=np.array([1.0e-3, 5.15e-3, 6.4e-3, 0.0255]),
     shares=np.ones(3),
     voltage=np.array([1.0, -0.001]),
-    process=Process(
+    process=DisturbanceVariances(
         log_lateral=2.0 * np.log(0.036), log_axial=2.0 * np.log(0.038), log_torque=2.0 * np.log(0.44)
     ),
     in_newton=False,

@@ -6,7 +6,7 @@ from typing import Any
 
 from trimtab.host.trace import words
 from trimtab.host.trace.data.audit import Audit
-from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED
+from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES
 from trimtab.host.trace.residual.description import Description
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.result import Trace
@@ -49,7 +49,7 @@ def to_json(
         "model": model_path,
         "report": report_path,
         "findings": [finding.to_json() for finding in result.all_findings],
-        "reasons": sentences(result.findings, UNEXPLAINED),
+        "reasons": sentences(result.findings, OUTSIDE_LIBRARY_CODES),
         "repeats": dict(zip(("after", "before"), map(_repeat, result.diagnosis.repeatability), strict=True)),
         "possible": [{"name": name, "probability": p} for name, p in result.possible.items()],
         "hidden": list(result.hidden),

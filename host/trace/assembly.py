@@ -74,7 +74,7 @@ def model_of(
 ) -> Model:
     """Return the model: named effects as effects, all other parameters as adjustments.
 
-    If the effects are not `added`, the model holds only the adjustments that the logs declare unknown, and no
+    If the effects are not `added`, the model holds only the adjustments that the logs free, and no
     covariance.
 
     Parameters
@@ -98,7 +98,7 @@ def model_of(
     effect_names = {effect.name for effect in named}
     effects: dict[str, dict[str, float]] = {}
     adjustments: dict[str, dict[str, float]] = {}
-    owners = [owner for owner in space.owners if added or owner in space.unknown]
+    owners = [owner for owner in space.owners if added or owner in space.freed]
     for owner in owners:
         table = effects if owner in effect_names else adjustments
         table[owner] = {space.columns[i].key: float(values[i]) for i in space.owners[owner]}

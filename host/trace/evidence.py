@@ -9,9 +9,9 @@ The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
 - w: process disturbance, six components (force and torque) in each bin of 0.1 s.
 
 Only the Gram matrix of [r | S | L | Z] of each segment is kept, so the evidence of any set of effects costs
-one small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within its
-declared tolerance. A parameter of a selected effect has a standard deviation of RULES.slab_sigma typical
-sizes.
+one small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
+its tolerance and discrepancy combined. A parameter of a selected effect has a standard deviation of
+RULES.slab_sigma typical sizes.
 """
 
 from __future__ import annotations
@@ -32,12 +32,12 @@ TORQUE_LIMITS = (-14.0, 12.0)
 
 
 @dataclass(frozen=True, kw_only=True)
-class Process:
+class DisturbanceVariances:
     """Log variances of the process disturbance, FRD.
 
     log_lateral, log_axial: specific force across and along the thrust, (m/s^2)^2. They differ because thrust
-    errors act along the thrust. log_torque: angular acceleration, (rad/s^2)^2, or body rate, (rad/s)^2, if
-    the measured body rate drives the attitude.
+    errors act along the thrust. log_torque: angular acceleration, (rad/s^2)^2. In rate-driven mode (torque
+    unknown; the measured body rate replaces the torque model) it is a body-rate error, (rad/s)^2.
     """
 
     log_lateral: float
@@ -65,13 +65,14 @@ class Linearisation:
     """Grams of [r | S | L | Z] of every segment at one point, with initial states projected out.
 
     gram: (segments, 1 + P + K + 6 bins, same). flight (segments,): index of the flight of each segment.
-    theta_scaled (P,): scaled parameters. local (flights, K): nuisances that are constant over a flight.
+    theta_scaled (P,): scaled parameters. nuisances (flights, K): sensor and flight errors that are constant
+    over a flight.
     """
 
     gram: np.ndarray
     flight: np.ndarray
     theta_scaled: np.ndarray
-    local: np.ndarray
+    nuisances: np.ndarray
 
     @property
     def parameters(self) -> int:
@@ -81,7 +82,7 @@ class Linearisation:
     @property
     def bins(self) -> int:
         """Number of disturbance bins in a segment."""
-        return (self.gram.shape[1] - 1 - self.parameters - self.local.shape[1]) // 6
+        return (self.gram.shape[1] - 1 - self.parameters - self.nuisances.shape[1]) // 6
 
     @cached_property
     def by_innovations(self) -> tuple[np.ndarray, np.ndarray]:
@@ -89,7 +90,7 @@ class Linearisation:
 
         The innovations of the bins are independent, so their covariance is diagonal for every process.
         """
-        n = 1 + self.parameters + self.local.shape[1]
+        n = 1 + self.parameters + self.nuisances.shape[1]
         root = np.kron(np.linalg.cholesky(correlation(self.bins)), np.eye(6))
         return root.T @ self.gram[:, n:, n:] @ root, root.T @ self.gram[:, n:, :n]
 
@@ -99,12 +100,13 @@ class Prior:
     """Prior standard deviations of parameters and nuisances.
 
     groups: column indices of each candidate or adjustment. spike (P,): standard deviation of each parameter,
-    scaled, if its effect is not selected. local (K,): of the nuisances of a flight, in physical units.
+    scaled, if its effect is not selected. nuisance_sigma (K,): standard deviations of the nuisances of a
+    flight, in physical units.
     """
 
     groups: dict[str, tuple[int, ...]]
     spike: np.ndarray
-    local: np.ndarray
+    nuisance_sigma: np.ndarray
 
     def precision(self, selected: Sequence[str]) -> np.ndarray:
         """Return the prior precision (P,), scaled, if the effects `selected` are in the model."""
@@ -119,25 +121,25 @@ class Prior:
 class Whitened:
     """Grams of [r | S] with the disturbance and the nuisances of the flights integrated out.
 
-    gram (1 + P, 1 + P): sum over all flights. log_det: log determinant that completes the log evidence.
-    flight_grams (flights, 1 + P, 1 + P): the same for each flight, without the prior term of the nuisances.
-    local_gram (flights, 1 + P + K, same): Grams of [r | S | L], from which `local_step` solves for the
-    nuisances.
+    gram (1 + P, 1 + P): sum over all flights. log_det: log determinant of the noise covariance with the
+    nuisances integrated out. flight_grams (flights, 1 + P, 1 + P): the same Grams for each flight, without
+    the constant (nuisances / nuisance_sigma)^2 in gram[0, 0]. nuisance_gram (flights, 1 + P + K, same): Grams
+    of [r | S | L], from which `nuisance_step` solves for the nuisances.
     """
 
     gram: np.ndarray
     log_det: float
     flight_grams: np.ndarray
-    local_gram: np.ndarray
+    nuisance_gram: np.ndarray
 
 
-def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
+def whitened(lin: Linearisation, process: DisturbanceVariances, prior: Prior) -> Whitened:
     """Return the Grams with disturbance and nuisances integrated out.
 
     The noise covariance is I + Z Q Z', with Q the covariance of `process`; Woodbury's identity inverts it.
     Then the nuisances of each flight are integrated out under `prior`.
     """
-    count, width = lin.local.shape
+    count, width = lin.nuisances.shape
     m = 1 + lin.parameters
     n = m + width
     square, cross = lin.by_innovations
@@ -147,23 +149,23 @@ def whitened(lin: Linearisation, process: Process, prior: Prior) -> Whitened:
     each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ np.linalg.solve(inner, cross)
     flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
     log_det = float(2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum())
-    precision = 1.0 / prior.local**2
+    precision = 1.0 / prior.nuisance_sigma**2
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
-    rhs[:, :, 0] -= precision * lin.local
+    rhs[:, :, 0] -= precision * lin.nuisances
     flight_grams = flights[:, :m, :m] - np.swapaxes(rhs, 1, 2) @ np.linalg.solve(inner, rhs)
     gram = flight_grams.sum(0)
-    gram[0, 0] += float((precision * lin.local**2).sum())
+    gram[0, 0] += float((precision * lin.nuisances**2).sum())
     log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
-    return Whitened(gram=gram, log_det=log_det, flight_grams=flight_grams, local_gram=flights)
+    return Whitened(gram=gram, log_det=log_det, flight_grams=flight_grams, nuisance_gram=flights)
 
 
-def local_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
+def nuisance_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
     """Return the step (flights, K) of the nuisances if the scaled parameters move by `step` (P,)."""
     m = 1 + lin.parameters
-    precision = 1.0 / prior.local**2
-    inner = white.local_gram[:, m:, m:] + np.diag(precision)
-    rhs = white.local_gram[:, m:, 0] - white.local_gram[:, m:, 1:m] @ step - precision * lin.local
+    precision = 1.0 / prior.nuisance_sigma**2
+    inner = white.nuisance_gram[:, m:, m:] + np.diag(precision)
+    rhs = white.nuisance_gram[:, m:, 0] - white.nuisance_gram[:, m:, 1:m] @ step - precision * lin.nuisances
     return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0]
 
 
@@ -175,9 +177,9 @@ def log_evidence(
     count: int,
     limits: tuple[np.ndarray, np.ndarray],
 ) -> float:
-    """Return the log evidence in nats, up to a constant, of a set of effects in a linearisation.
+    """Return log evidence plus log prior of a set of effects in a linearisation, in nats, up to a constant.
 
-    The evidence is that of the best point within `limits`. An effect cannot gain evidence from a value
+    The quadratic is evaluated at the best point within `limits`. An effect cannot gain evidence from a value
     outside its physical bounds.
 
     Parameters
@@ -208,19 +210,21 @@ def log_evidence(
     return float(-0.5 * (quadratic + occam + log_det) + RULES.prior_log_odds * count)
 
 
-def minimise_in_box(normal: np.ndarray, step: np.ndarray, lower: np.ndarray, upper: np.ndarray) -> np.ndarray:
-    """Return the point (P,) between `lower` and `upper` (P,) that minimises a quadratic.
+def minimise_in_box(
+    normal: np.ndarray, minimum: np.ndarray, lower: np.ndarray, upper: np.ndarray
+) -> np.ndarray:
+    """Return an approximate minimiser (P,) of a quadratic between `lower` and `upper` (P,).
 
-    normal (P, P): Hessian of the quadratic. step (P,): its unconstrained minimum. Components that cross a
+    normal (P, P): Hessian of the quadratic. minimum (P,): its unconstrained minimum. Components that cross a
     bound are fixed there, and the others are solved again until none crosses.
     """
-    fixed, at = np.zeros(len(step), dtype=bool), step
+    fixed, at = np.zeros(len(minimum), dtype=bool), minimum
     while ((at < lower) | (at > upper)).any():
         fixed |= (at < lower) | (at > upper)
-        at = np.where(fixed, np.clip(step, lower, upper), 0.0)
+        at = np.where(fixed, np.clip(minimum, lower, upper), 0.0)
         free = ~fixed
-        shift = normal[np.ix_(free, fixed)] @ (at - step)[fixed]
-        at[free] = step[free] - np.linalg.solve(normal[np.ix_(free, free)], shift)
+        shift = normal[np.ix_(free, fixed)] @ (at - minimum)[fixed]
+        at[free] = minimum[free] - np.linalg.solve(normal[np.ix_(free, free)], shift)
         at = np.where(fixed, np.clip(at, lower, upper), at)
     return at
 
@@ -237,7 +241,7 @@ def posterior(
     return covariance @ (gram[0, 1:] - precision * theta_scaled), covariance
 
 
-def bounded(
+def bounded_step(
     gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
 ) -> tuple[np.ndarray, np.ndarray]:
     """Return the step (P,) to the best point within `limits`, and the posterior covariance (P, P), scaled.
@@ -250,13 +254,15 @@ def bounded(
     return minimise_in_box(normal, step, limits[0] - theta_scaled, limits[1] - theta_scaled), covariance
 
 
-def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start: Process) -> Process:
-    """Return the process of greatest evidence for the set `selected`, searched by L-BFGS-B from `start`."""
+def fit_process(
+    lin: Linearisation, prior: Prior, selected: Sequence[str], start: DisturbanceVariances
+) -> DisturbanceVariances:
+    """Return the variances of greatest evidence for the set `selected`, searched by L-BFGS-B from `start`."""
     precision = prior.precision(selected)
 
-    def process(point: np.ndarray) -> Process:
+    def process(point: np.ndarray) -> DisturbanceVariances:
         lateral, axial, torque = map(float, point)
-        return Process(log_lateral=lateral, log_axial=axial, log_torque=torque)
+        return DisturbanceVariances(log_lateral=lateral, log_axial=axial, log_torque=torque)
 
     def objective(point: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = _evidence_and_slope(lin, process(point), prior, precision)
@@ -274,15 +280,15 @@ def fit_process(lin: Linearisation, prior: Prior, selected: Sequence[str], start
 
 
 def _evidence_and_slope(
-    lin: Linearisation, process: Process, prior: Prior, precision: np.ndarray
+    lin: Linearisation, process: DisturbanceVariances, prior: Prior, precision: np.ndarray
 ) -> tuple[float, np.ndarray]:
-    """Return the log evidence of a set and its gradient (3,) with respect to the process's log variances.
+    """Return the log evidence of a set and its gradient (3,) with respect to the log variances.
 
-    precision (P,): of the prior of the set. The derivative by a log variance is half the sum of E[w^2] - 1
-    over its innovations w in units of their sigma, given the data (Fisher's identity).
+    precision (P,): of the prior of the set. The derivative with respect to a log variance is half the sum of
+    E[w^2 | data] - 1 over its innovations w, in units of sigma (Fisher's identity).
     """
     m = 1 + lin.parameters
-    count, width = lin.local.shape
+    count, width = lin.nuisances.shape
     n = m + width
     disturbance_gram, cross = lin.by_innovations
     sigma = np.tile(process.sigma(), lin.bins)
@@ -292,11 +298,11 @@ def _evidence_and_slope(
     gain = inverse @ cross
     each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ gain
     flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
-    local_precision = 1.0 / prior.local**2
+    nuisance_precision = 1.0 / prior.nuisance_sigma**2
     # Unknowns other than the disturbance: the parameters, then the nuisances of every flight.
     size = lin.parameters + count * width
     A, b = np.zeros((size, size)), np.zeros(size)
-    square = float((local_precision * lin.local**2).sum() + precision @ lin.theta_scaled**2)
+    square = float((nuisance_precision * lin.nuisances**2).sum() + precision @ lin.theta_scaled**2)
     parameters = np.arange(lin.parameters)
     A[parameters, parameters] = precision
     b[parameters] = -precision * lin.theta_scaled
@@ -304,14 +310,14 @@ def _evidence_and_slope(
         at = np.r_[parameters, lin.parameters + k * width : lin.parameters + (k + 1) * width]
         A[np.ix_(at, at)] += gram[1:, 1:]
         b[at] += gram[1:, 0]
-        nuisances = at[lin.parameters :]
-        A[nuisances, nuisances] += local_precision
-        b[nuisances] -= local_precision * lin.local[k]
+        columns = at[lin.parameters :]
+        A[columns, columns] += nuisance_precision
+        b[columns] -= nuisance_precision * lin.nuisances[k]
         square += gram[0, 0]
     covariance = np.linalg.inv(A)
     best = covariance @ b
     log_dets = 2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum()
-    log_dets += np.linalg.slogdet(A)[1] - np.log(precision).sum() - count * np.log(local_precision).sum()
+    log_dets += np.linalg.slogdet(A)[1] - np.log(precision).sum() - count * np.log(nuisance_precision).sum()
     value = -0.5 * (square - b @ best + log_dets)
 
     power = np.zeros(6 * lin.bins)
@@ -326,16 +332,18 @@ def _evidence_and_slope(
     return float(value), np.array([by_channel[:2].sum(), by_channel[2], by_channel[3:].sum()])
 
 
-def disturbances(lin: Linearisation, process: Process, step: np.ndarray, local: np.ndarray) -> np.ndarray:
+def disturbances(
+    lin: Linearisation, process: DisturbanceVariances, step: np.ndarray, nuisances: np.ndarray
+) -> np.ndarray:
     """Return the best linear prediction (segments, bins, 6), FRD, of the disturbance.
 
-    step (P,): change of the scaled parameters from the linearisation. local (flights, K): change of the
+    step (P,): change of the scaled parameters from the linearisation. nuisances (flights, K): change of the
     nuisances. Force in m/s^2, then angular acceleration in rad/s^2 or, if the measured body rate drives the
     attitude, body rate in rad/s.
     """
     m = 1 + lin.parameters
-    n = m + lin.local.shape[1]
+    n = m + lin.nuisances.shape[1]
     rhs = lin.gram[:, n:, 0] - lin.gram[:, n:, 1:m] @ step
-    rhs = rhs - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], local[lin.flight])
+    rhs = rhs - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], nuisances[lin.flight])
     inner = lin.gram[:, n:, n:] + np.linalg.inv(process.covariance(lin.bins))
     return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0].reshape(len(lin.gram), lin.bins, 6)

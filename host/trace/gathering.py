@@ -1,4 +1,4 @@
-"""The evidence that a verdict is decided by, gathered from the fits."""
+"""Inputs of the decision, gathered from the fits."""
 
 from __future__ import annotations
 
@@ -8,22 +8,22 @@ from dataclasses import replace
 import numpy as np
 
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.decision.decide import Evidence
+from trimtab.host.trace.decision.decide import DecisionInputs
 from trimtab.host.trace.residual.unexplained import unexplained_residual
 from trimtab.host.trace.search import Names, most_probable
 from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.selection import Diagnosis, is_judged
+from trimtab.host.trace.selection import Diagnosis, selected_set_is_judged
 
 
-def gather_evidence(
+def gather_inputs(
     segment_model: SegmentModel,
     diagnosis: Diagnosis,
     repeat_flights: Sequence[tuple[int, int]],
     unknown: frozenset[str],
     tracking_s: float,
     extent_m: float,
-) -> Evidence:
+) -> DecisionInputs:
     """Return the numbers that the verdict depends on.
 
     Parameters
@@ -35,7 +35,7 @@ def gather_evidence(
     repeat_flights
         Pairs of indices of repeat flights.
     unknown
-        What the logs declare unknown.
+        What the logs do not determine, as words such as "torque".
     tracking_s, extent_m
         Tracking time of all flights, and the greatest extent of one of them along an axis.
     """
@@ -50,7 +50,7 @@ def gather_evidence(
         axial=axial,
     )
     by_segments = diagnosis.method == "segments"
-    return Evidence(
+    return DecisionInputs(
         space=segment_model.space,
         selected=selected.effects,
         null_probability=diagnosis.null_probability,
@@ -59,8 +59,8 @@ def gather_evidence(
         inclusion_probability=diagnosis.inclusion_probability,
         detectability=diagnosis.detectability,
         by_segments=by_segments,
-        residual=replace(residual, flights=after),
-        residual_without=replace(without, flights=before),
+        residual=replace(residual, flight_repeat=after),
+        residual_without=replace(without, flight_repeat=before),
         disturbance_sigma=tuple(selected.process.sigma().tolist()),
         thrust_known=axial,
         rate_driven=selected.data.rate_driven,
@@ -92,11 +92,11 @@ def segment_disagreement_nats(
 def _remainder(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     """Return the unexplained disturbance (segments, bins, 6), FRD, and its segments.
 
-    It is that of the selected set, or that of the most probable set if the empty set is selected although it
-    is improbable.
+    It is that of the selected set. If the empty set is selected although it is improbable
+    (`selected_set_is_judged`), it is that of the most probable set.
     """
     selected = diagnosis.selected
-    if is_judged(diagnosis):
+    if selected_set_is_judged(diagnosis):
         return disturbance_left(selected, selected.theta_scaled), selected.data
     fit = refit(
         segment_model, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit

@@ -1,7 +1,7 @@
 """The scaled parameter space that tracing searches: parameters of the candidates and of the adjustments.
 
-Every parameter is a column theta_scaled = (value - neutral) / scale. Candidates can be selected. Adjustments
-never are: they move within their tolerance, or freely if a log declares them unknown.
+Every parameter is scaled: an entry of theta_scaled = (value - neutral) / scale. Candidates can be selected.
+Adjustments never are: they move within their tolerance, or freely if a log frees them.
 """
 
 from __future__ import annotations
@@ -29,19 +29,20 @@ class Column:
     Attributes
     ----------
     owner, key, unit
-        Effect or other adjustment that the parameter belongs to, its key there, and its unit.
+        Effect, or adjustment that is no effect (such as the thrust curve), that the parameter belongs to; the
+        key of the parameter there; its unit.
     neutral
         Value that changes nothing.
     scale
         Value of one scaled unit: the typical size.
     tolerance
-        One standard deviation of a value that is not worth naming.
+        Standard deviation of deviations from neutral that are too small to report.
     lower, upper
         Bounds of the value.
     discrepancy
-        One standard deviation, scaled, of the error of the effect's form in segments.
+        Standard deviation, scaled, of the value that segment fits show although the effect is absent.
     loop_discrepancy
-        The same for whole flights in closed loop.
+        The same for fits to whole flights in closed loop.
     strength
         Whether the effect is present if only this parameter differs from neutral.
     """
@@ -76,9 +77,9 @@ class ParameterSpace:
     candidates
         Candidates that may be selected: the name of an effect, or "effect.key" if only one parameter of the
         effect leaves neutral (`Effect.one_of`). All other owners of columns are adjustments.
-    unknown
-        Adjustments that the logs declare unknown, which are free.
-    local_sigma
+    freed
+        Adjustments that the logs free, since the logs do not determine them.
+    nuisance_sigma
         Prior standard deviations (9,) of the nuisances of a flight: mounting tilt rad; angular acceleration
         rad/s^2 or gyro bias rad/s; accelerometer bias m/s^2. Three each, FRD.
     """
@@ -86,12 +87,12 @@ class ParameterSpace:
     columns: tuple[Column, ...]
     effects: Mapping[str, Effect]
     candidates: tuple[str, ...]
-    unknown: tuple[str, ...]
-    local_sigma: tuple[float, ...]
+    freed: tuple[str, ...]
+    nuisance_sigma: tuple[float, ...]
 
     @cached_property
     def owners(self) -> dict[str, tuple[int, ...]]:
-        """Column indices by owner: an effect or another adjustment."""
+        """Column indices by owner: an effect, or an adjustment that is none (such as the thrust curve)."""
         owners: dict[str, tuple[int, ...]] = {}
         for index, column in enumerate(self.columns):
             owners[column.owner] = (*owners.get(column.owner, ()), index)
@@ -129,7 +130,7 @@ class ParameterSpace:
     def prior(self) -> Prior:
         """Prior of segment fits: its spike combines tolerance and discrepancy, scaled."""
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
-        return Prior(groups=self.groups, spike=spike, local=np.array(self.local_sigma))
+        return Prior(groups=self.groups, spike=spike, nuisance_sigma=np.array(self.nuisance_sigma))
 
     def values(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Return the physical values of scaled parameters, (P,) or (P, lanes)."""
@@ -158,22 +159,22 @@ class ParameterSpace:
             return
         if bad[0] == 0:
             suspects = [name for name in self.parts if self.effects[name].memory] or list(self.parts)
-            cause = f"the model with {', '.join(suspects)}"
+            cause = ", ".join(suspects)
         else:
             cause = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
         raise UsageError(
-            f"roll-outs with {cause} diverge; bound the values that the effect's slots return, or remove the "
-            "effect"
+            f"the model with {cause} diverges; bound the values that the functions of the effect file "
+            "return, or remove the effect"
         )
 
-    def bounded(self, theta_scaled: np.ndarray) -> np.ndarray:
+    def at_bound(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Return the mask (P,) of entries of theta_scaled that are at a bound other than neutral."""
         lower, upper = self.bounds
         return ((theta_scaled <= lower + 1e-9) & (lower < 0.0)) | (
             (theta_scaled >= upper - 1e-9) & (upper > 0.0)
         )
 
-    def theta(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
+    def by_owner(self, values: Sequence[Any]) -> dict[str, tuple[Any, ...]]:
         """Return P values as tuples by owner, each in the order of the owner's keys."""
         return {owner: tuple(values[i] for i in indices) for owner, indices in self.owners.items()}
 
@@ -192,8 +193,8 @@ _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> ParameterSpace:
     """Return the parameter space of a vehicle.
 
-    effects: effects by name. unknown: what the logs declare unknown, of `UNKNOWN`. Raises ValueError for
-    another word in `unknown`.
+    effects: effects by name. unknown: what the logs do not determine, as words of `UNKNOWN`. Raises
+    ValueError for another word in `unknown`.
     """
     unknown = frozenset(unknown)
     unsupported = unknown - set(UNKNOWN)
@@ -220,10 +221,10 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
         columns=tuple(columns),
         effects=dict(effects),
         candidates=(),
-        unknown=(*free, *({THRUST_CURVE} & unknown)),
-        local_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
+        freed=(*free, *({THRUST_CURVE} & unknown)),
+        nuisance_sigma=(mounting,) * 3 + (torque,) * 3 + (accelerometer,) * 3,
     )
-    fixed = {*whole.unknown, *(name for name, effect in effects.items() if effect.adjustment)}
+    fixed = {*whole.freed, *(name for name, effect in effects.items() if effect.adjustment)}
     candidates = tuple(name for name in whole.groups if name.partition(".")[0] not in fixed)
     return replace(whole, candidates=candidates)
 
@@ -231,8 +232,8 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
 def _column(vehicle: Vehicle, owner: str, parameter: Parameter, *, free: bool) -> Column:
     """Return the column of a parameter of the effect `owner`.
 
-    The tolerance of the vehicle file takes precedence over that of the effect. free: whether a log declares
-    the effect unknown, so that it moves freely.
+    The tolerance of the vehicle file takes precedence over that of the effect. free: whether a log frees the
+    effect (`Effect.freed_by`).
     """
     tolerance = float(vehicle.tolerance(owner, parameter.key, parameter.tolerance))
     lower, upper = parameter.lower, parameter.upper

@@ -29,7 +29,7 @@ from trimtab.host.trace.data.signals import FlightData, pose_interval_s
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
-from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
+from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
 
 _LEAD_S = 0.3
 _ROLL_OUT_STEP_S = 0.005
@@ -175,7 +175,7 @@ def predict_segments(
     spans = np.array([each.signals.span_s for each in flights])
     calibration_s = RULES.calibration_share * (spans[:, 1] - spans[:, 0])
     early = whole.take(whole.start_s + SEGMENT_S <= calibration_s[whole.flight])
-    local = _fitted_local(segment_model, early, theta_scaled, len(flights))
+    nuisances = _fitted_nuisances(segment_model, early, theta_scaled, len(flights))
     data = data.take(data.start_s >= calibration_s[data.flight])
     for index, each in enumerate(flights):
         if not (data.flight == index).any():
@@ -190,10 +190,10 @@ def predict_segments(
         rate_weight=data.rate_weight * in_lead,
         force_weight=data.force_weight * in_lead,
     )
-    basis = linearise.basis(segment_model, lead_data, theta_scaled, local)
-    x0 = linearise.fitted_x0(segment_model, lead_data, theta_scaled, local, basis, iterations=4)
+    basis = linearise.basis(segment_model, lead_data, theta_scaled, nuisances)
+    x0 = linearise.fitted_x0(segment_model, lead_data, theta_scaled, nuisances, basis, iterations=4)
     rolled = rollout.roll_out(
-        segment_model, data, x0.T[:, None, :], theta_scaled[:, None], local[data.flight].T[:, None, :]
+        segment_model, data, x0.T[:, None, :], theta_scaled[:, None], nuisances[data.flight].T[:, None, :]
     )
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
     speed = np.gradient(predicted, DT_S, axis=1)
@@ -222,28 +222,28 @@ def predict_segments(
     return tuple(out)
 
 
-def _fitted_local(
+def _fitted_nuisances(
     segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int
 ) -> np.ndarray:
     """Return the nuisances (flights, 9) of held-out flights at theta_scaled (P,); 0 without segments.
 
     data: segments of the flights. flights: number of flights.
     """
-    local = np.zeros((flights, LOCALS))
+    nuisances = np.zeros((flights, NUISANCES))
     if not len(data.flight):
-        return local
+        return nuisances
     process = starting_process(data)
-    basis = linearise.basis(segment_model, data, theta_scaled, local)
+    basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     for _ in range(3):
-        grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
+        grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
         data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, theta_scaled, local)
+        lin = linearise.project(grams, data, theta_scaled, nuisances)
         process = evidence.fit_process(lin, segment_model.space.prior, (), process)
         white = evidence.whitened(lin, process, segment_model.space.prior)
-        local = local + evidence.local_step(
+        nuisances = nuisances + evidence.nuisance_step(
             lin, white, segment_model.space.prior, np.zeros(len(theta_scaled))
         )
-    return local
+    return nuisances
 
 
 def noise_floor(

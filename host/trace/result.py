@@ -17,7 +17,7 @@ from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors, rmse
 from trimtab.host.trace.residual.description import Description
-from trimtab.host.trace.residual.network import Unexplained
+from trimtab.host.trace.residual.network import NetworkResult
 from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 from trimtab.host.trace.selection import Diagnosis
 
@@ -65,7 +65,7 @@ class Trace:
     possible
         Probability of further effects that the data does not exclude.
     drive
-        What predictions of held-out flights start from.
+        Data that drive the predictions of held-out flights.
     before, after, adjustments_only
         Prediction errors without effects, with the model, and with only its adjustments: one entry for each
         held-out flight.
@@ -103,7 +103,7 @@ class Trace:
     residual: UnexplainedResidual
     audits: tuple[Audit, ...]
     description: Description | None
-    unexplained: Unexplained | None
+    unexplained: NetworkResult | None
 
     @property
     def horizon_s(self) -> float | None:

@@ -12,14 +12,14 @@ from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import observable_effects, read_logs
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
-from trimtab.host.trace.flight_fit.loop import tracking_extent
-from trimtab.host.trace.gathering import gather_evidence
+from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
+from trimtab.host.trace.gathering import gather_inputs
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.next_flight.separation import propose
 from trimtab.host.trace.parameters import space
 from trimtab.host.trace.prediction import noise_floor
 from trimtab.host.trace.residual.description import describe
-from trimtab.host.trace.residual.network import unexplained
+from trimtab.host.trace.residual.network import train_network
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.segment_fit.fit import disturbance_left, unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
@@ -73,10 +73,13 @@ def run(
     parameters = space(logs.vehicle, observable_effects(effects, flights), logs.unknown)
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
     segment_model = SegmentModel.of(logs.vehicle, parameters, data)
-    extent = tracking_extent(logs.flights)
-    whole_flights = logs.flights if logs.drive == "reference" and tracking_shortfall(*extent) is None else ()
+    tracking_s, extent_m = tracking_time_and_extent(logs.flights)
+    shortfall = tracking_shortfall(tracking_s, extent_m)
+    whole_flights = logs.flights if logs.drive == "reference" and shortfall is None else ()
     diagnosis = select_effects(segment_model, data, whole_flights, logs.repeat_flights, on_progress)
-    decision = decide(gather_evidence(segment_model, diagnosis, logs.repeat_flights, logs.unknown, *extent))
+    decision = decide(
+        gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking_s, extent_m)
+    )
     added, null_fit = decision.effects_added, diagnosis.null_fit
     named = named_effects(parameters, diagnosis, decision.aliases) if added else ()
     theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(parameters, null_fit)
@@ -92,7 +95,7 @@ def run(
         disturbance = disturbance_left(null_fit, theta_scaled)
         description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)
         if network and logs.drive == "reference":
-            learned = unexplained(flights, held_out, model, effects, description, on_progress)
+            learned = train_network(flights, held_out, model, effects, description, on_progress)
     return Trace(
         verdict=decision.verdict,
         findings=decision.findings,

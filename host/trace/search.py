@@ -54,12 +54,13 @@ class Fitter(Protocol[F]):
     def scorers(self, fit: F) -> list[Callable[[Names], float]]:
         """Return functions that score any set by its log evidence in the linearisation of `fit`.
 
-        The last one scores as the fit itself does.
+        The last one uses the noise model of `fit`; up to a constant, its score of `fit.effects` is
+        `fit.log_evidence`.
         """
         ...
 
-    def beyond(self, fit: F) -> list[Names]:
-        """Return sets with one more effect that the linearisation of `fit` scores too low."""
+    def underrated_extensions(self, fit: F) -> list[Names]:
+        """Return extensions by one effect that must be fitted although the linearisation underrates them."""
         ...
 
 
@@ -67,8 +68,9 @@ class Fitter(Protocol[F]):
 class SearchResult(Generic[F]):
     """Result of a search.
 
-    selected: fit of the selected set. inclusion_probability: posterior, of each candidate. posterior_weights:
-    relative, of every set considered. log_evidence: of every fitted set, in nats.
+    selected: fit of the selected set. inclusion_probability: posterior probability of each candidate.
+    posterior_weights: relative posterior probability of each supported set. log_evidence: of every fitted
+    set, in nats.
     """
 
     selected: F
@@ -83,7 +85,7 @@ class SearchResult(Generic[F]):
 
 
 def most_parsimonious(result: SearchResult[F], within_nats: float) -> Names:
-    """Return the smallest supported set whose log evidence is `within_nats` of the greatest."""
+    """Return the smallest supported set whose log evidence is within `within_nats` nats of the greatest."""
     supported = {
         names: value for names, value in result.log_evidence.items() if names in result.posterior_weights
     }
@@ -103,7 +105,10 @@ def null_probability_of(weights: Mapping[Names, float]) -> float:
 
 
 def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: None) -> SearchResult[F]:
-    """Search for the missing effects from `null_fit`; select as many as the evidence supports."""
+    """Search for the missing effects and select the smallest set that the evidence does not reject.
+
+    null_fit: fit without effects, from which the search starts.
+    """
     space = fitter.space
     fits: dict[Names, F] = {(): null_fit}
     current = null_fit
@@ -112,7 +117,7 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         for score in fitter.scorers(current):
             depth = min(RULES.max_effects, len(current.effects) + 2)
             trials += _proposals(screen(space, score, depth), current.effects)
-        trials += fitter.beyond(current)
+        trials += fitter.underrated_extensions(current)
         for names in dict.fromkeys(trials):
             if names not in fits:
                 fits[names] = fitter.fit(names, current)
@@ -192,13 +197,15 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
 
 
 def _is_supported(fitter: Fitter[F], fit: F) -> bool:
-    """Return whether every effect of the set is present, with a large enough effect to act through.
+    """Return whether the data supports the set.
 
-    An effect within its tolerance is not present. An effect at a bound explains something else. Wind on a
-    drag within tolerance is a force of about 0.01 m/s^2, as is the slow part of turbulence.
+    Every effect must exceed its tolerance and be off its bounds: an effect at a bound explains something
+    else. If it acts through another effect, that one must be large enough. Wind that acts through a
+    negligible drag gives about 0.01 m/s^2, no more than slow turbulence, so the two could not be
+    distinguished.
     """
     space = fitter.space
-    if any(space.bounded(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
+    if any(space.at_bound(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
     carriers = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
@@ -209,7 +216,10 @@ def _is_supported(fitter: Fitter[F], fit: F) -> bool:
 
 
 def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
-    """Return the size of each effect of the set, in tolerances: the greatest of its strength parameters."""
+    """Return the size of each effect of the set: the greatest of its strength parameters.
+
+    Sizes are in units of the spike, which combines tolerance and discrepancy.
+    """
     space = fitter.space
     strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
     return {
@@ -226,15 +236,15 @@ def _most_parsimonious(fits: Mapping[Names, F]) -> F:
 
 
 def _scores(
-    fitter: Fitter[F], selected: F, fits: Mapping[Names, F], left_out: frozenset[Names]
+    fitter: Fitter[F], selected: F, fits: Mapping[Names, F], unsupported: frozenset[Names]
 ) -> dict[Names, float]:
     """Return the log evidence of the fitted sets and, from the linearisation, of sets near the selected one.
 
-    Sets in left_out are left out.
+    unsupported: fitted but unsupported sets, which get no score.
     """
     depth = min(RULES.max_effects, len(selected.effects) + 1)
     score = fitter.scorers(selected)[-1]
     shift = selected.log_evidence - score(selected.effects)
     scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
-    return {names: value for names, value in scores.items() if names not in left_out}
+    return {names: value for names, value in scores.items() if names not in unsupported}

@@ -1,4 +1,4 @@
-"""Selection of the missing effects: from whole flights if there is enough data, otherwise from segments."""
+"""Selection of the missing effects: from whole flights if `run` passes any, otherwise from segments."""
 
 from __future__ import annotations
 
@@ -12,11 +12,11 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.logs import strata_of
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
-from trimtab.host.trace.decision.decide import is_null_probable
+from trimtab.host.trace.decision.decide import is_null_open
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter, fit_loop, prior_of
+from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter, fit_closed_loop, prior_of
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
-from trimtab.host.trace.flight_fit.repeatability import in_turbulence, repeatability_of
+from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.search import (
@@ -31,7 +31,7 @@ from trimtab.host.trace.search import (
 )
 from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter, at_parameters, refit, unknowns_only
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.uncertainty import by_segments, inflated_covariance
+from trimtab.host.trace.uncertainty import inflated_flight_covariance, inflated_segment_covariance
 
 Method = Literal["segments", "closed-loop"]
 
@@ -43,15 +43,16 @@ class Diagnosis:
     Attributes
     ----------
     selected
-        Segment fit of the selected set.
+        Segment fit of the selected set. With method "closed-loop", its parameters, covariance and log
+        evidence come from the flight fit.
     null_fit
         Segment fit without effects.
     method
-        Data from which the set was selected and its parameters were estimated.
+        Method of selection and estimation: fits to "segments", or to whole flights in "closed-loop".
     inclusion_probability
         Posterior probability of each candidate.
     posterior_weights
-        Relative posterior weight of every set considered.
+        Relative posterior weight of every supported set.
     log_evidence
         Log evidence in nats of every fitted set.
     detectability
@@ -81,7 +82,8 @@ def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray
 
     The value is sqrt(theta' S' (I - Q) S theta), where theta sets all parameters of the effect to one typical
     size and Q projects on the slopes of all other parameters. If an effect has several candidates, the
-    greatest value counts. An effect that acts through another one is detectable only if that one is present.
+    greatest value counts. An effect that acts through another one is detectable only if that one is present,
+    since its slope is 0 otherwise.
 
     gram (1 + P, 1 + P): of the whitened [residual | slopes S]. precision (P,): of the prior of the other
     parameters, scaled.
@@ -131,7 +133,9 @@ def select_effects(
 def _from_segments(segment_model: SegmentModel, null_fit: SegmentFit, on_progress: OnProgress) -> Diagnosis:
     """Select the effects from segments."""
     result = search(SegmentFitter(segment_model=segment_model), null_fit, on_progress)
-    selected = replace(result.selected, covariance=by_segments(segment_model.space, result.selected))
+    selected = replace(
+        result.selected, covariance=inflated_segment_covariance(segment_model.space, result.selected)
+    )
     prior = segment_model.space.prior
     gram = evidence.whitened(selected.lin, selected.process, prior).flight_grams.sum(0)
     return Diagnosis(
@@ -152,21 +156,28 @@ def _from_flights(
     repeat_flights: Sequence[tuple[int, int]],
     on_progress: OnProgress,
 ) -> Diagnosis:
-    """Select the effects from whole flights; fit nuisances and disturbance of the segments to that set."""
+    """Select the effects from whole flights.
+
+    Then fit the nuisances and the disturbance of the segments at the parameters of that set.
+    """
     space = segment_model.space
     loop = closed_loop(flights, segment_model.vehicle, space, null_fit.theta_scaled)
-    order = order_of(loop)
-    fitter = FlightFitter(loop=loop, order=order)
-    result = search(fitter, fit_loop(loop, (), null_fit.theta_scaled, order), on_progress)
+    autoregression_order = order_of(loop)
+    fitter = FlightFitter(loop=loop, order=autoregression_order)
+    result = search(
+        fitter, fit_closed_loop(loop, (), null_fit.theta_scaled, autoregression_order), on_progress
+    )
     on_progress("comparing repeat flights")
-    result = without_form_faults(result, fitter, repeat_flights)
-    fit = in_turbulence(loop, result.selected, order, repeat_flights)
+    result = without_payload_artefacts(result, fitter, repeat_flights)
+    fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
     present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_tolerances)
     if present != fit.effects:  # this fit determines sizes more accurately than the search
         result = replace(result, selected=fitter.fit(present, result.selected))
-        fit = in_turbulence(loop, result.selected, order, repeat_flights)
-    judged = fit if is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
-    covariance = inflated_covariance(space, fit, strata_of(repeat_flights, len(flights)))
+        fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
+    judged = (
+        fit if selected_set_is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
+    )
+    covariance = inflated_flight_covariance(space, fit, strata_of(repeat_flights, len(flights)))
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
     )
@@ -179,19 +190,21 @@ def _from_flights(
         log_evidence=result.log_evidence,
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
         repeatability=(
-            repeatability_of(loop, judged.theta_scaled, order, repeat_flights),
-            repeatability_of(loop, unknowns_only(space, null_fit), order, repeat_flights),
+            repeatability_of(loop, judged.theta_scaled, autoregression_order, repeat_flights),
+            repeatability_of(loop, unknowns_only(space, null_fit), autoregression_order, repeat_flights),
         ),
     )
 
 
-def without_form_faults(
+def without_payload_artefacts(
     result: SearchResult[FlightFit], fitter: FlightFitter, repeat_flights: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
-    """Drop effects that explain only the form error of an effect with states of its own.
+    """Drop effects that explain only the error of an effect with states of its own, such as a slung payload.
 
-    The form of a slung payload is not exact. Its residual is strong and repeats between flights, and other
-    effects explain a little of it. repeat_flights: pairs of indices of repeat flights.
+    The equations of a slung payload (an effect with `memory`) are not exact. Their residual is strong and
+    repeats between flights, and other effects explain a little of it.
+
+    repeat_flights: pairs of indices of repeat flights.
     """
     selected = result.selected
     if not any(fitter.space.effect(name).memory for name in selected.effects):
@@ -199,17 +212,17 @@ def without_form_faults(
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
     tie_nats = RULES.tie_nats
     if residual is not None:
-        tie_nats = max(tie_nats, RULES.memory_fault_share * residual.log_evidence(RULES))
+        tie_nats = max(tie_nats, RULES.memory_fault_share * residual.attainable_nats(RULES))
     names = most_parsimonious(result, tie_nats)
     if len(names) >= len(selected.effects):
         return result
     return replace(result, selected=fitter.fit(names, selected))
 
 
-def is_judged(result: SearchResult[Any] | Diagnosis) -> bool:
+def selected_set_is_judged(result: SearchResult[Any] | Diagnosis) -> bool:
     """Return whether the residual of the selected set is the one to judge.
 
     If the empty set is selected although it is improbable, the residual of the most probable set is judged
     instead.
     """
-    return bool(result.selected.effects) or is_null_probable(result.null_probability)
+    return bool(result.selected.effects) or is_null_open(result.null_probability)

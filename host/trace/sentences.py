@@ -96,8 +96,8 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.EXCESS_FORCE: _excess,
     Code.EXCESS_TORQUE: _excess,
     Code.BETTER_BUT_INADMISSIBLE: lambda f: (
-        f"{', '.join(f.subject)} would explain the flights better, but only with parameter values that are "
-        "not admissible"
+        f"{', '.join(f.subject)} would explain the flights better, but only with parameter values at a "
+        "bound or within tolerance"
     ),
     Code.SEGMENTS_DISAGREE: lambda f: (
         f"whole flights support {', '.join(f.subject)}, but segments do not; fly more"

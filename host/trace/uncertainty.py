@@ -15,7 +15,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 
 
-def inflated_covariance(
+def inflated_flight_covariance(
     space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
 ) -> np.ndarray:
     """Return the covariance (P, P), scaled, of a flight fit, widened by the jackknife over flights.
@@ -28,7 +28,7 @@ def inflated_covariance(
     return closed.covariance * np.outer(widened, widened)
 
 
-def by_segments(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
+def inflated_segment_covariance(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
     """Return the covariance (P, P), scaled, of a segment fit, widened by the jackknife and the discrepancy.
 
     The jackknife is over flights, or over RULES.jackknife_pieces parts of each flight if there are fewer
@@ -43,14 +43,14 @@ def by_segments(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
 
 def _in_pieces(lin: Linearisation) -> Linearisation:
     """Return the linearisation with each flight cut into pieces if there are few flights."""
-    if len(lin.local) >= RULES.jackknife_pieces:
+    if len(lin.nuisances) >= RULES.jackknife_pieces:
         return lin
     part = np.empty(len(lin.flight), dtype=int)
-    for flight in range(len(lin.local)):
+    for flight in range(len(lin.nuisances)):
         segments = np.flatnonzero(lin.flight == flight)
         part[segments] = np.arange(len(segments)) * RULES.jackknife_pieces // max(len(segments), 1)
     piece_ids, piece = np.unique(lin.flight * RULES.jackknife_pieces + part, return_inverse=True)
-    return replace(lin, flight=piece, local=lin.local[piece_ids // RULES.jackknife_pieces])
+    return replace(lin, flight=piece, nuisances=lin.nuisances[piece_ids // RULES.jackknife_pieces])
 
 
 def jackknife_by_flight(

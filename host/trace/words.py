@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from trimtab.host.trace.data.audit import Audit, Stretch
+from trimtab.host.trace.data.audit import Audit, UnusedStretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
-from trimtab.host.trace.decision.findings import CHANNEL_UNITS, DOUBTS, UNEXPLAINED, Code, Verdict
+from trimtab.host.trace.decision.findings import CHANNEL_UNITS, DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.residual.description import Dependence, Description
-from trimtab.host.trace.residual.network import Unexplained
+from trimtab.host.trace.residual.network import NetworkResult
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
@@ -30,12 +30,12 @@ def exact_alias(observed: ObservedAlias) -> str:
     return f"{observable}; {alias.remedy}"
 
 
-def reason(stretch: Stretch) -> str:
+def reason(stretch: UnusedStretch) -> str:
     """Return why a stretch of a flight is not used."""
     return stretch_reason(stretch.code)
 
 
-def stretch(unused: Stretch) -> str:
+def stretch(unused: UnusedStretch) -> str:
     """Return start, end and reason of a stretch that is not used."""
     return f"{unused.start_s:.2f} to {unused.end_s:.2f} s: {reason(unused)}"
 
@@ -80,7 +80,7 @@ def next_flight(proposal: NextFlight) -> str:
     )
 
 
-def network(outcome: Unexplained) -> str:
+def network(outcome: NetworkResult) -> str:
     """Return the errors of the network that was trained on the unexplained residual, as one line."""
     before, after = outcome.before.position_rmse_m, outcome.after.position_rmse_m
     return (
@@ -147,7 +147,7 @@ def result_lines(result: Trace) -> list[str]:
     lines += [f"  {text}" for text in sentences(result.findings, DOUBTS)]
     if result.hidden:
         lines.append(f"  these flights would not show, at typical size: {', '.join(result.hidden)}")
-    lines += [f"  {text}" for text in sentences(result.findings, UNEXPLAINED)]
+    lines += [f"  {text}" for text in sentences(result.findings, OUTSIDE_LIBRARY_CODES)]
     if result.description is not None:
         lines += [f"  {line}" for line in description(result.description)]
     lines.append(_errors_line(result))
@@ -192,7 +192,7 @@ def verdict(result: Trace) -> str:
     elif result.verdict is Verdict.NOTHING_MISSING:
         text = "Nothing stands out beyond the tolerances of the vehicle."
     else:
-        reasons = sentences(result.findings, UNEXPLAINED)
+        reasons = sentences(result.findings, OUTSIDE_LIBRARY_CODES)
         text = "The cause is an effect that the library does not hold: " + "; ".join(reasons) + "."
     if result.before_score and result.after_score and result.effects:
         b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]

@@ -13,7 +13,7 @@ from trimtab.host.trace.data.contact import ground_contact
 from trimtab.host.trace.data.signals import FlightData, Signals, without_inputs
 from trimtab.host.trace.data.stretches import (
     STRETCH_ORDER,
-    Stretch,
+    UnusedStretch,
     clipped_stretch,
     merged_spans,
     runs_of,
@@ -56,13 +56,13 @@ class Audit:
     log: str
     rates: tuple[Rate, ...]
     largest_gap_s: float
-    stretches: tuple[Stretch, ...]
+    stretches: tuple[UnusedStretch, ...]
     findings: tuple[Finding, ...]
     used_s: float = 0.0
     segments: int = 0
     left_out: int = 0
 
-    def overlaps(self, start_s: float, end_s: float) -> Stretch | None:
+    def first_overlap(self, start_s: float, end_s: float) -> UnusedStretch | None:
         """Return the first stretch that overlaps start_s to end_s, in s since tracking began, or None."""
         return next((s for s in self.stretches if s.start_s < end_s and s.end_s > start_s), None)
 
@@ -129,7 +129,7 @@ def _rates(flight: Flight, span_s: tuple[float, float]) -> tuple[Rate, ...]:
     return tuple(out)
 
 
-def _gaps(s: Signals) -> list[Stretch]:
+def _gaps(s: Signals) -> list[UnusedStretch]:
     """Return the stretches without poses or without commands.
 
     A command interval longer than RULES.gap_s counts as a gap.
@@ -150,7 +150,7 @@ def _gaps(s: Signals) -> list[Stretch]:
     return pose_gaps + [clipped_stretch(s, a, b, Code.GAP_IN_COMMANDS) for a, b in inside_span]
 
 
-def _jumps(flight: Flight, s: Signals) -> list[Stretch]:
+def _jumps(flight: Flight, s: Signals) -> list[UnusedStretch]:
     """Return the stretches around clock jumps: steps of the least pose delay, or overlapping intervals."""
     jumps = []
     assert flight.mocap is not None
@@ -170,7 +170,7 @@ def _jumps(flight: Flight, s: Signals) -> list[Stretch]:
     return [clipped_stretch(s, a, b, Code.CLOCK_JUMP) for a, b in merged_spans(jumps)]
 
 
-def _attitudes(s: Signals) -> list[Stretch]:
+def _attitudes(s: Signals) -> list[UnusedStretch]:
     """Return the stretches in which Euler angles are singular or the tilt is too large for the model."""
     tracking = within(s.pose_s, s.span_s)
     t, R = s.pose_s[tracking], s.R_ned_frd[tracking]
@@ -183,7 +183,7 @@ def _attitudes(s: Signals) -> list[Stretch]:
     ]
 
 
-def _saturation(s: Signals) -> list[Stretch]:
+def _saturation(s: Signals) -> list[UnusedStretch]:
     """Return the stretches longer than RULES.saturation_s with a motor command at 0 or at 1."""
     if s.in_newton:
         return []

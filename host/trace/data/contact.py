@@ -6,7 +6,7 @@ import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.trace.data.signals import FlightData, Signals, averaged, nominal_thrust, without_inputs
-from trimtab.host.trace.data.stretches import Stretch, clipped_stretch, merged_spans, runs_of, within
+from trimtab.host.trace.data.stretches import UnusedStretch, clipped_stretch, merged_spans, runs_of, within
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.vehicle import Vehicle
@@ -18,7 +18,7 @@ _WINDOW_STEP_S = 0.1
 """Step between the starts of these windows."""
 
 
-def ground_contact(data: FlightData) -> list[Stretch]:
+def ground_contact(data: FlightData) -> list[UnusedStretch]:
     """Return the stretches in which the floor carries the vehicle or something hits it.
 
     The floor may carry the vehicle in two cases. Either the vehicle is close above its resting place. Or it
@@ -35,10 +35,10 @@ def ground_contact(data: FlightData) -> list[Stretch]:
         return _impacts(data)
     spans = list(zip(low, high, strict=True))
     down = np.array([np.median(s.p_ned[a:b, 2]) for a, b in spans])
-    thrust, force, speed = _carried(flight.vehicle, s, t, low, high)
+    thrust, force, speed = _window_means(flight.vehicle, s, t, low, high)
     touching = np.zeros(len(t), dtype=bool)
     still = np.array([np.ptp(s.p_ned[a:b], axis=0).max() < RULES.still_m for a, b in spans])
-    if flight.kind == "flight":  # the log begins at arming, on the floor
+    if flight.kind == "flight":  # logged by Trimtab; imported logs may begin in the air
         touching = np.median(s.p_ned[s.pose_s < s.pose_s[0] + 0.1, 2]) - down < RULES.clear_m
     elif (resting := still & (thrust < RULES.resting_thrust_g * GRAVITY)).any():
         touching = np.median(down[resting]) - down < RULES.clear_m
@@ -59,7 +59,7 @@ def ground_contact(data: FlightData) -> list[Stretch]:
     )
 
 
-def _carried(
+def _window_means(
     vehicle: Vehicle, s: Signals, t: np.ndarray, low: np.ndarray, high: np.ndarray
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return nominal thrust over mass, specific force along the thrust, and vertical speed in each window.
@@ -110,7 +110,7 @@ def _carried(
     return thrust, force, speed
 
 
-def _impacts(data: FlightData) -> list[Stretch]:
+def _impacts(data: FlightData) -> list[UnusedStretch]:
     """Return the stretches in which the accelerometer shows more than rotors and air can cause."""
     s, vehicle = data.signals, data.flight.vehicle
     if not len(s.force_frd):

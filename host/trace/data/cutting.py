@@ -146,7 +146,7 @@ def _cut(
     for k in range(grid.count):
         first = grid.run_up + k * grid.steps
         start_s = float(grid.t_s[first] - data.signals.span_s[0])
-        stretch = health.overlaps(start_s, start_s + segment_s)
+        stretch = health.first_overlap(start_s, start_s + segment_s)
         if stretch is not None:
             left_out[stretch.code] = left_out.get(stretch.code, 0) + 1
         elif _has_gaps(grid, first, min_poses):

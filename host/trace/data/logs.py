@@ -1,4 +1,4 @@
-"""Checks that logs belong together, their repeat flights, and the effects that they can show."""
+"""Whether logs belong together, which are repeat flights, and which effects they can show."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import Vehicle
 
 Drive = Literal["reference", "inputs"]
-"""Start of a prediction: the reference of a whole flight, or the recorded inputs of a segment."""
+"""Data that drive a prediction: the reference of a whole flight, or the recorded inputs of a segment."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -30,9 +30,9 @@ class TraceData:
     held_out
         Flights that only the prediction error is computed on.
     unknown
-        What any of the logs declares unknown or cannot show.
+        What any of the logs does not determine, as words of the metadata entry `unknown`, such as "torque".
     drive
-        Start from which all flights can be predicted.
+        Data that can drive a prediction of all flights.
     repeat_flights
         Pairs of indices into `flights` that are repeat flights of each other.
     """

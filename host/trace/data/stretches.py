@@ -24,7 +24,7 @@ STRETCH_ORDER = (
 
 
 @dataclass(frozen=True, kw_only=True)
-class Stretch:
+class UnusedStretch:
     """A part of a flight that is not used: start and end in s since tracking began, and the reason."""
 
     start_s: float
@@ -37,10 +37,10 @@ def within(t: np.ndarray, span_s: tuple[float, float]) -> np.ndarray:
     return (t >= span_s[0]) & (t <= span_s[1])
 
 
-def clipped_stretch(s: Signals, start_s: float, end_s: float, code: Code) -> Stretch:
+def clipped_stretch(s: Signals, start_s: float, end_s: float, code: Code) -> UnusedStretch:
     """Return a stretch, clipped to the tracking phase; start_s and end_s are since arming."""
     a, b = s.span_s
-    return Stretch(start_s=max(start_s, a) - a, end_s=min(end_s, b) - a, code=code)
+    return UnusedStretch(start_s=max(start_s, a) - a, end_s=min(end_s, b) - a, code=code)
 
 
 def runs_of(t: np.ndarray, bad: np.ndarray) -> list[tuple[float, float]]:

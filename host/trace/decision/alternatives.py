@@ -17,7 +17,7 @@ def aliases_of(
 ) -> dict[str, dict[str, float]]:
     """Return, for each selected effect, its probable aliases, most probable first.
 
-    posterior_weights: relative, of every admissible set.
+    posterior_weights: relative, of every supported set.
     """
     return {name: _substitutes(name, selected, posterior_weights, space, rules) for name in selected}
 
@@ -29,7 +29,11 @@ def _substitutes(
     space: ParameterSpace,
     rules: Rules,
 ) -> dict[str, float]:
-    """Return the probability of each effect in place of `name`: of the sets that hold it but not `name`."""
+    """Return the probability of each unselected candidate in place of `name`, if it is not excluded.
+
+    It is the posterior probability of the sets that contain the candidate but not `name`. A candidate is
+    excluded unless it exceeds RULES.alias_probability.
+    """
     total = sum(posterior_weights.values())
     probabilities = {}
     for other in space.candidates:
@@ -72,9 +76,9 @@ def with_undetectable(
 def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> dict[str, dict[str, float]]:
     """Return `aliases` together with the known aliases among the selected effects themselves.
 
-    This is for little data. No form is exact, so a known alias may have been selected only because it
-    explains the form error of another selected effect. An effect that acts through another one is no alias of
-    it.
+    Used if only segments were fitted or there are no repeat flights. No form is exact, so a known alias may
+    have been selected only because it explains the form error of another selected effect. An effect that acts
+    through another one is no alias of it.
     """
     extended = {name: dict(others) for name, others in aliases.items()}
     for name in aliases:

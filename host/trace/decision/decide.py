@@ -1,4 +1,4 @@
-"""The decision: a pure function of evidence and rules that returns a verdict and findings."""
+"""The decision: a pure function of inputs and rules that returns a verdict and findings."""
 
 from __future__ import annotations
 
@@ -15,14 +15,14 @@ from trimtab.host.trace.decision.alternatives import (
     with_undetectable,
 )
 from trimtab.host.trace.decision.findings import CHANNEL_UNITS, Code, Finding, Verdict
-from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
+from trimtab.host.trace.decision.residual_rules import no_effect_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES, Rules
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 
 
 @dataclass(frozen=True, kw_only=True)
-class Evidence:
+class DecisionInputs:
     """The numbers that a verdict depends on.
 
     Parameters
@@ -36,7 +36,7 @@ class Evidence:
     log_evidence
         Log evidence in nats of every fitted set.
     posterior_weights
-        Relative posterior weight of every admissible set.
+        Relative posterior weight of every supported set.
     inclusion_probability
         Posterior probability of each candidate.
     detectability
@@ -44,7 +44,8 @@ class Evidence:
     by_segments
         Whether the set was selected from segments, not from whole flights in closed loop.
     residual, residual_without
-        Unexplained residual of the selected set, and of the model without effects.
+        Unexplained residual of the selected set, and of the model without effects. If the empty set is
+        selected although it is improbable, the first is that of the most probable set.
     disturbance_sigma
         Standard deviations (6,) of the unexplained disturbance of the selected set: force m/s^2, then angular
         acceleration rad/s^2, FRD.
@@ -53,7 +54,7 @@ class Evidence:
     rate_driven
         Whether the measured body rate drives the attitude. The torque is then ignored.
     segment_disagreement_nats
-        By how many nats segments prefer the selected set without each of its effects; empty if not computed.
+        For each selected effect: by how many nats segments prefer the set without it; empty if not computed.
     tracking_s, extent_m
         Tracking time of all flights, and the greatest extent of one of them along an axis.
     """
@@ -101,8 +102,8 @@ class Decision:
     to_separate
         Pair of effects that the next flight should separate; None unless the verdict is undecided.
     residual
-        Unexplained residual that the findings refer to: that of the selected set or, if the cause is outside
-        the library and the model without effects has findings, that of the model without effects.
+        Unexplained residual that the findings refer to: `DecisionInputs.residual` or, if the cause is outside
+        the library and the model without effects has findings too, `DecisionInputs.residual_without`.
     """
 
     verdict: Verdict
@@ -118,26 +119,24 @@ class Decision:
         return self.verdict is not Verdict.OUTSIDE_LIBRARY
 
 
-def decide(evidence: Evidence, rules: Rules = RULES) -> Decision:
-    """Return the verdict on `evidence`, with its findings and alternatives."""
-    outside, residual = _outside(evidence, rules)
-    shortfall = tracking_shortfall(evidence.tracking_s, evidence.extent_m, rules)
-    aliases = _aliases(evidence, shortfall is not None, rules)
-    disagreements = [
-        *([] if evidence.has_repeats else excess_disturbance(evidence, rules)),
-        *_disagreement(evidence, rules),
+def decide(inputs: DecisionInputs, rules: Rules = RULES) -> Decision:
+    """Return the verdict on `inputs`, with its findings and alternatives."""
+    outside, residual = _outside(inputs, rules)
+    shortfall = tracking_shortfall(inputs.tracking_s, inputs.extent_m, rules)
+    aliases = _aliases(inputs, shortfall is not None, rules)
+    undecided_reasons = [
+        *([] if inputs.has_repeats else excess_disturbance(inputs, rules)),
+        *_disagreement(inputs, rules),
     ]
-    verdict = _verdict(evidence, outside, aliases, disagreements, rules)
+    verdict = _verdict(inputs, outside, aliases, undecided_reasons, rules)
     added = verdict is not Verdict.OUTSIDE_LIBRARY
-    possible = (
-        possible_beside(evidence.selected, aliases, evidence.inclusion_probability, rules) if added else {}
-    )
+    possible = possible_beside(inputs.selected, aliases, inputs.inclusion_probability, rules) if added else {}
     findings = [
         *outside,
         *([] if shortfall is None else [shortfall]),
-        *disagreements,
-        *_open_alternatives(evidence, verdict, aliases if added else {}, possible, rules),
-        *hidden(evidence.detectability, evidence.selected if added else (), evidence.space, rules),
+        *undecided_reasons,
+        *_open_alternatives(inputs, verdict, aliases if added else {}, possible, rules),
+        *hidden(inputs.detectability, inputs.selected if added else (), inputs.space, rules),
     ]
     undecided = verdict is Verdict.UNDECIDED
     return Decision(
@@ -145,59 +144,63 @@ def decide(evidence: Evidence, rules: Rules = RULES) -> Decision:
         findings=tuple(findings),
         aliases=aliases,
         possible=possible,
-        to_separate=(pair_to_separate(aliases, evidence.inclusion_probability, rules) if undecided else None),
+        to_separate=(pair_to_separate(aliases, inputs.inclusion_probability, rules) if undecided else None),
         residual=residual,
     )
 
 
 def _verdict(
-    evidence: Evidence,
+    inputs: DecisionInputs,
     outside: Sequence[Finding],
     aliases: Aliases,
-    disagreements: Sequence[Finding],
+    undecided_reasons: Sequence[Finding],
     rules: Rules,
 ) -> Verdict:
-    """Return the verdict: first findings outside the library count, then disagreements, then aliases."""
+    """Return the verdict.
+
+    Findings that put the cause outside the library take precedence over reasons for `undecided`, and these
+    over aliases.
+    """
     if outside:
         return Verdict.OUTSIDE_LIBRARY
-    if disagreements:
+    if undecided_reasons:
         return Verdict.UNDECIDED
-    if not evidence.selected:
-        certain = is_null_probable(evidence.null_probability, rules)
-        return Verdict.NOTHING_MISSING if certain else Verdict.UNDECIDED
+    if not inputs.selected:
+        null_open = is_null_open(inputs.null_probability, rules)
+        return Verdict.NOTHING_MISSING if null_open else Verdict.UNDECIDED
     return Verdict.UNDECIDED if any(aliases.values()) else Verdict.TRACED
 
 
-def is_null_probable(null_probability: float, rules: Rules = RULES) -> bool:
-    """Return whether "no effect is missing" is probable enough for that verdict."""
+def is_null_open(null_probability: float, rules: Rules = RULES) -> bool:
+    """Return whether "no effect is missing" is not excluded: its probability exceeds 1/odds."""
     return null_probability > rules.alias_probability
 
 
-def _aliases(evidence: Evidence, too_little: bool, rules: Rules) -> dict[str, dict[str, float]]:
+def _aliases(inputs: DecisionInputs, too_little: bool, rules: Rules) -> dict[str, dict[str, float]]:
     """Return the alternatives to each selected effect.
 
     too_little: whether there is too little data to fit whole flights, which leaves more alternatives open.
     """
-    aliases = aliases_of(evidence.selected, evidence.posterior_weights, evidence.space, rules)
+    aliases = aliases_of(inputs.selected, inputs.posterior_weights, inputs.space, rules)
     if too_little:
-        aliases = with_undetectable(aliases, evidence.space, evidence.detectability, rules)
-    if evidence.by_segments or not evidence.has_repeats:
-        aliases = with_each_other(aliases, evidence.space, rules)
+        aliases = with_undetectable(aliases, inputs.space, inputs.detectability, rules)
+    if inputs.by_segments or not inputs.has_repeats:
+        aliases = with_each_other(aliases, inputs.space, rules)
     return aliases
 
 
-def _outside(evidence: Evidence, rules: Rules) -> tuple[list[Finding], UnexplainedResidual]:
+def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], UnexplainedResidual]:
     """Return the findings that put the cause outside the library, and the residual that they refer to.
 
-    The size of the unexplained residual is that of the model without effects, since the selected effects were
+    If the model without effects has findings too, return these and its residual: the selected effects were
     fitted to a cause that they do not describe.
     """
-    bounds = residual_bounds(evidence.residual_without, has_memory=evidence.has_memory, rules=rules)
-    findings = residual_findings(evidence.residual, bounds, rules)
+    bounds = residual_bounds(inputs.residual_without, has_memory=inputs.has_memory, rules=rules)
+    findings = residual_findings(inputs.residual, bounds, rules)
     if not findings:
-        return [], evidence.residual
-    without = residual_findings(evidence.residual_without, no_model_bounds(rules), rules)
-    return (without, evidence.residual_without) if without else (findings, evidence.residual)
+        return [], inputs.residual
+    without = residual_findings(inputs.residual_without, no_effect_bounds(rules), rules)
+    return (without, inputs.residual_without) if without else (findings, inputs.residual)
 
 
 def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES) -> Finding | None:
@@ -212,44 +215,44 @@ def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES)
     return None
 
 
-def excess_disturbance(evidence: Evidence, rules: Rules) -> list[Finding]:
+def excess_disturbance(inputs: DecisionInputs, rules: Rules) -> list[Finding]:
     """Return a finding if the disturbance is too large for indoor turbulence.
 
     It is for flights without repeat flights, which would show whether the disturbance repeats.
     """
-    sigma = evidence.disturbance_sigma
-    force = float(max(sigma[: 3 if evidence.thrust_known else 2]))
+    sigma = inputs.disturbance_sigma
+    force = float(max(sigma[: 3 if inputs.thrust_known else 2]))
     torque = float(max(sigma[3:]))
     if force > rules.excess_force_m_s2:
         bound = rules.excess_force_m_s2
         return [Finding(code=Code.EXCESS_FORCE, value=force, bound=bound, unit=CHANNEL_UNITS["force"])]
-    if torque > rules.excess_torque_rad_s2 and not evidence.rate_driven:
+    if torque > rules.excess_torque_rad_s2 and not inputs.rate_driven:
         bound = rules.excess_torque_rad_s2
         return [Finding(code=Code.EXCESS_TORQUE, value=torque, bound=bound, unit=CHANNEL_UNITS["torque"])]
     return []
 
 
-def _disagreement(evidence: Evidence, rules: Rules) -> list[Finding]:
-    """Return what contradicts the selected set: a better but inadmissible set, or segments."""
-    if evidence.by_segments:
-        return better_but_inadmissible(evidence.log_evidence, evidence.posterior_weights, rules)
-    return segment_disagreement(evidence.segment_disagreement_nats, rules)
+def _disagreement(inputs: DecisionInputs, rules: Rules) -> list[Finding]:
+    """Return what contradicts the selected set: a better but unsupported set, or segments."""
+    if inputs.by_segments:
+        return better_but_unsupported(inputs.log_evidence, inputs.posterior_weights, rules)
+    return segment_disagreement(inputs.segment_disagreement_nats, rules)
 
 
-def better_but_inadmissible(
+def better_but_unsupported(
     log_evidence: Mapping[Names, float], posterior_weights: Mapping[Names, float], rules: Rules
 ) -> list[Finding]:
     """Return a finding if a set explains the segments much better but cannot be selected.
 
-    Such a set has an effect at its bounds or within its tolerance. Sets that cannot be selected have no entry
-    in posterior_weights.
+    Such a set is unsupported: it has an effect at its bounds or within its tolerance. Unsupported sets have
+    no entry in posterior_weights.
     """
-    admissible = max(value for names, value in log_evidence.items() if names in posterior_weights)
-    inadmissible = {names: value for names, value in log_evidence.items() if names not in posterior_weights}
-    if not inadmissible:
+    best_supported = max(value for names, value in log_evidence.items() if names in posterior_weights)
+    unsupported = {names: value for names, value in log_evidence.items() if names not in posterior_weights}
+    if not unsupported:
         return []
-    names = max(inadmissible, key=lambda names: (inadmissible[names], names))
-    gain = inadmissible[names] - admissible
+    names = max(unsupported, key=lambda names: (unsupported[names], names))
+    gain = unsupported[names] - best_supported
     if gain < rules.tie_nats:
         return []
     return [
@@ -281,7 +284,7 @@ def segment_disagreement(disagreement_nats: Mapping[str, float], rules: Rules) -
 
 
 def _open_alternatives(
-    evidence: Evidence, verdict: Verdict, aliases: Aliases, possible: Mapping[str, float], rules: Rules
+    inputs: DecisionInputs, verdict: Verdict, aliases: Aliases, possible: Mapping[str, float], rules: Rules
 ) -> list[Finding]:
     """Return findings on what the data does not exclude: aliases, further effects, an unnamed effect."""
     bound = rules.alias_probability
@@ -293,8 +296,8 @@ def _open_alternatives(
     findings += [
         Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()
     ]
-    missing = 1.0 - evidence.null_probability
-    if verdict is Verdict.UNDECIDED and not evidence.selected and missing > rules.majority:
+    missing = 1.0 - inputs.null_probability
+    if verdict is Verdict.UNDECIDED and not inputs.selected and missing > rules.majority:
         findings.append(Finding(code=Code.SOMETHING_MISSING, value=missing, bound=rules.majority))
     return findings
 
@@ -302,7 +305,10 @@ def _open_alternatives(
 def hidden(
     detectability: Mapping[str, float], selected: Sequence[str], space: ParameterSpace, rules: Rules = RULES
 ) -> list[Finding]:
-    """Return the effects that these flights would not show at typical size, or only within an alias."""
+    """Return a finding for each hidden effect.
+
+    At typical size, these flights would not show such an effect apart from all other parameters.
+    """
     named = {space.effect(name).name for name in selected}
     bound = rules.detectable_sigma
     return [

@@ -1,4 +1,7 @@
-"""Exact aliases: pairs of effects that fit every flight equally well, and the ratio that flights show."""
+"""Exact aliases: pairs of effects that fit every flight equally well, and their ratio.
+
+Flights may determine the ratio of the parameters of the two effects, but not the parameters.
+"""
 
 from __future__ import annotations
 
@@ -53,7 +56,10 @@ def exact_aliases(
 
 
 def _is_measured(space: ParameterSpace, name: str) -> bool:
-    """Return whether the first parameter of an effect has a tolerance so small that it was measured."""
+    """Return whether the first parameter of an effect counts as measured.
+
+    It does if its tolerance is below `Parameter.measured_below`.
+    """
     bound = space.effects[name].parameters[0].measured_below
     return bound is not None and space.columns[space.owners[name][0]].tolerance < bound
 

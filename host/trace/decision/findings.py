@@ -44,7 +44,7 @@ class Code(StrEnum):
     SOMETHING_MISSING = "something-missing"
     HIDDEN = "hidden"
     # Quality of one log.
-    NO_REPEAT = "no-twin"
+    NO_REPEAT = "no-twin"  # older JSON code, kept for compatibility
     NO_INPUTS = "no-inputs"
     NO_REFERENCE = "no-reference"
     NO_GYRO = "no-gyro"
@@ -78,7 +78,7 @@ class Code(StrEnum):
 CHANNEL_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
 """Units of the residual force and torque, which are over mass and inertia."""
 
-UNEXPLAINED = frozenset(
+OUTSIDE_LIBRARY_CODES = frozenset(
     {
         Code.FLIGHTS_REPEAT,
         Code.FLIGHTS_WORSENED,

@@ -26,7 +26,7 @@ class ResidualBounds:
     position_m: float = math.inf
 
 
-def no_model_bounds(rules: Rules) -> ResidualBounds:
+def no_effect_bounds(rules: Rules) -> ResidualBounds:
     """Return the bounds on the residual of the model without effects."""
     return ResidualBounds(
         force=rules.force_floor_m_s2,
@@ -46,9 +46,9 @@ def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Ru
     selected.
     """
     share, position_m = 0.0, math.inf
-    if without.flights is not None:
-        share = rules.flight_form_amplitude**2 * without.flights.share
-        position_m = max(rules.worsened_m, rules.worsened_ratio * without.flights.position_m)
+    if without.flight_repeat is not None:
+        share = rules.flight_form_amplitude**2 * without.flight_repeat.share
+        position_m = max(rules.worsened_m, rules.worsened_ratio * without.flight_repeat.position_m)
     return ResidualBounds(
         force=max(rules.force_floor_m_s2, rules.form_error_share * without.force.repeat),
         torque=max(rules.torque_floor_rad_s2, rules.form_error_share * without.torque.repeat),
@@ -61,9 +61,9 @@ def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Ru
 def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rules: Rules) -> list[Finding]:
     """Return findings on what of `residual` exceeds `bounds`."""
     findings = []
-    flights = residual.flights
-    if flights is not None:
-        lower = flights.lower_share(rules)
+    flight_repeat = residual.flight_repeat
+    if flight_repeat is not None:
+        lower = flight_repeat.lower_share(rules)
         if lower > bounds.flight_share:
             findings.append(
                 Finding(
@@ -71,23 +71,26 @@ def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rul
                     value=lower,
                     bound=bounds.flight_share,
                     details={
-                        "position_m": flights.position_m,
-                        "amplitude": flights.amplitude,
-                        "z": flights.z_score,
+                        "position_m": flight_repeat.position_m,
+                        "amplitude": flight_repeat.amplitude,
+                        "z": flight_repeat.z_score,
                     },
                 )
             )
-        if flights.position_m > bounds.position_m:
+        if flight_repeat.position_m > bounds.position_m:
             findings.append(
                 Finding(
-                    code=Code.FLIGHTS_WORSENED, value=flights.position_m, bound=bounds.position_m, unit="m"
+                    code=Code.FLIGHTS_WORSENED,
+                    value=flight_repeat.position_m,
+                    bound=bounds.position_m,
+                    unit="m",
                 )
             )
     channels = (
         ("force", residual.force, bounds.force, Code.FORCE_REPEATS, Code.FORCE_RINGS),
         ("torque", residual.torque, bounds.torque, Code.TORQUE_REPEATS, Code.TORQUE_RINGS),
     )
-    if flights is None or findings:
+    if flight_repeat is None or findings:
         findings += [
             Finding(
                 code=repeats,

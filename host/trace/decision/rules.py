@@ -29,7 +29,7 @@ class Rules:
     odds: float = _rule(
         20.0, "1", "Odds above which evidence excludes an alternative; below, the alternative stays open."
     )
-    prior_odds: float = _rule(40.0, "1", "Prior odds against the presence of each effect.")
+    prior_odds_against: float = _rule(40.0, "1", "Prior odds against the presence of each effect.")
     slab_sigma: float = _rule(
         2.0, "typical sizes", "Prior standard deviation of a parameter whose effect is selected."
     )
@@ -38,13 +38,22 @@ class Rules:
     )
     max_effects: int = _rule(6, "effects", "Most effects in one set.")
     worth_fitting_nats: float = _rule(
-        12.0, "nats", "A set whose log evidence in the screening is this far below the best is not fitted."
+        12.0,
+        "nats",
+        "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
+        "best. A start value of an effect is used only if it gains more than this.",
     )
     present_tolerances: float = _rule(
-        1.0, "tolerances", "An effect is present if a strength parameter is farther than this from neutral."
+        1.0,
+        "spikes",
+        "An effect is present if a strength parameter is farther than this from neutral, in units of the "
+        "spike (tolerance and discrepancy combined).",
     )
     carrier_tolerances: float = _rule(
-        4.0, "tolerances", "Another effect can act through an effect larger than this, as wind through drag."
+        4.0,
+        "spikes",
+        "Another effect can act through an effect larger than this, as wind through drag, in units of the "
+        "spike (tolerance and discrepancy combined).",
     )
     worse_fit_ratio: float = _rule(
         1.5,
@@ -54,15 +63,18 @@ class Rules:
     memory_fault_share: float = _rule(
         0.1,
         "1",
-        "If an effect with states of its own is selected, another effect must explain this share of the log "
-        "evidence of the repeatable residual.",
+        "If an effect with states of its own is selected, an additional effect is kept only if it gains at "
+        "least this share of the nats that a perfect model would gain.",
     )
     detectable_sigma: float = _rule(
         4.2, "sigma", "Separation above which an effect is detectable and two effects are distinguished."
     )
 
     majority: float = _rule(
-        0.5, "1", "Probability above which a trace reports that an effect is missing that it cannot name."
+        0.5,
+        "1",
+        "If no effect is selected: probability of a missing effect above which the trace reports that one is "
+        "missing.",
     )
     open_probability: float = _rule(
         0.5, "1", "Probability of an alternative about which the data contains no information."
@@ -75,7 +87,10 @@ class Rules:
     )
     torque_floor_rad_s2: float = _rule(0.8, "rad/s^2", "Residual angular acceleration that needs no cause.")
     form_error_share: float = _rule(
-        0.1, "1", "Share of the residual without effects that may remain, since no form is exact."
+        0.1,
+        "1",
+        "The selected set may leave this share of the residual that the model without effects leaves, since "
+        "no effect's equation is exact.",
     )
     line_ratio: float = _rule(
         3.5, "1", "Power of a spectral line over its surroundings above which the residual rings."
@@ -89,19 +104,26 @@ class Rules:
     line_min_hz: float = _rule(0.3, "Hz", "Lowest frequency of the search for lines.")
     line_max_hz: float = _rule(4.0, "Hz", "Highest frequency of the search for lines.")
     excited_power_share: float = _rule(
-        0.02, "1", "A frequency counts as flown if the motion has this share of its greatest power there."
+        0.02,
+        "1",
+        "A frequency counts as excited by the motion if the motion has this share of its top power there.",
     )
     flight_repeat_share: float = _rule(
         0.08,
         "1",
-        "Repeatable power of whole flights, over that of turbulence and noise, above which it needs a cause; "
-        "compared with the lower end of its interval.",
+        "Bound on the repeatable power of whole flights, over that of turbulence and noise; a finding arises "
+        "if the estimate minus `repeat_standard_errors` standard errors exceeds it.",
     )
     repeat_standard_errors: float = _rule(
-        2.0, "standard errors", "The lower end of that interval is this far below the estimate."
+        2.0,
+        "standard errors",
+        "Subtracted from the estimate before it is compared with `flight_repeat_share`.",
     )
     flight_form_amplitude: float = _rule(
-        0.2, "1", "Share of the repeatable amplitude without effects that may remain, since no form is exact."
+        0.2,
+        "1",
+        "The selected set may leave this share of the repeatable amplitude that the model without effects "
+        "leaves, since no effect's equation is exact.",
     )
     worsened_ratio: float = _rule(
         1.5, "1", "Effects that increase the repeatable position error by more than this factor are rejected."
@@ -124,8 +146,8 @@ class Rules:
     temper: float = _rule(
         2.0,
         "1",
-        "Whitened residuals are weighted by 1 over this when sizes are estimated, since the innovations keep "
-        "parts that are slower than the windows.",
+        "Information of whitened residuals is divided by this, since they stay correlated beyond the windows "
+        "of the autoregression (`whitening.WINDOWS`).",
         MEASURED,
     )
     min_widening: float = _rule(
@@ -137,7 +159,8 @@ class Rules:
     jackknife_prior_flights: float = _rule(
         7.0,
         "flights",
-        "Weight, in flights, of the median spread of all parameters in the jackknife of each parameter.",
+        "The jackknife spread of a parameter is averaged with the median spread of all parameters; the "
+        "median weighs as much as this many flights.",
     )
     jackknife_pieces: int = _rule(
         4, "pieces", "If there are fewer flights than this, the jackknife cuts each into this many pieces."
@@ -172,13 +195,15 @@ class Rules:
     min_poses: int = _rule(100, "poses", "Fewest poses in a log.")
     min_tracking_poses: int = _rule(10, "poses", "Fewest poses in the tracking phase of a log.")
     flight_fit_min_s: float = _rule(
-        9.6, "s", "Least tracking time for a fit to whole flights: 20 bins of 40 ms for each channel."
+        9.6,
+        "s",
+        "Least tracking time for a fit to whole flights: 240 bins of 40 ms: 20 for each of 12 channels.",
     )
     hover_extent_m: float = _rule(
         0.3, "m", "Extent below which a flight is a hover; whitening removes the constant errors of a hover."
     )
     bins_per_order: int = _rule(
-        168, "bins", "Bins for each order of the autoregression: 14 for each coefficient of a channel."
+        168, "bins", "Bins needed per order: each order adds 12 coefficients per channel, at 14 bins each."
     )
     missing_share: float = _rule(
         0.4, "1", "A segment that lacks more than this share of its commands or poses is left out."
@@ -203,41 +228,48 @@ class Rules:
         0.01, "1", "Share of ticks with saturated rotors above which the audit warns."
     )
     tilt_max_rad: float = _rule(
-        math.radians(75.0), "rad", "Tilt above which a flight is not used, since no model of flight is valid."
+        math.radians(75.0),
+        "rad",
+        "Parts of a flight with more tilt are not used, since no model of flight is valid there.",
     )
     pitch_max_rad: float = _rule(
-        math.radians(80.0), "rad", "Pitch above which a flight is not used, since Euler angles are singular."
+        math.radians(80.0),
+        "rad",
+        "Parts of a flight with more pitch are not used, since Euler angles are singular.",
     )
     clock_jump_s: float = _rule(
-        0.003, "s", "Step of the least pose delay above which a clock has jumped: six latency tolerances."
+        0.003,
+        "s",
+        "A clock has jumped if the least pose delay steps by more than this: six latency tolerances.",
     )
     clock_drift_s: float = _rule(
         0.002, "s", "Drift between the clocks of camera and vehicle above which the audit warns."
     )
-    clear_m: float = _rule(
-        0.05, "m", "Height above its resting place below which the vehicle may touch the floor."
-    )
+    clear_m: float = _rule(0.05, "m", "A vehicle less than this above its resting place may touch the floor.")
     low_m: float = _rule(
-        0.1, "m", "Height above the lowest place of a log below which something may support the vehicle."
+        0.1, "m", "Something may support a vehicle that is less than this above the lowest place of its log."
     )
     support_ratio: float = _rule(
         1.3,
         "1",
-        "Specific force over thrust, relative to free flight, above which the floor carries.",
+        "The floor carries a vehicle whose specific force over thrust, relative to free flight, exceeds "
+        "this.",
     )
-    level_speed_m_s: float = _rule(0.15, "m/s", "Vertical speed below which a vehicle is not falling.")
+    level_speed_m_s: float = _rule(0.15, "m/s", "A vehicle with a lower vertical speed is not falling.")
     powered_share: float = _rule(
-        0.5, "1", "Share of the median thrust in flight above which the rotors carry the vehicle."
+        0.5, "1", "Rotors with more than this share of the median thrust in flight carry the vehicle."
     )
     impact_g: float = _rule(
-        2.0, "g", "Specific force beyond the possible thrust above which something hit the vehicle."
+        2.0,
+        "g",
+        "Something hit the vehicle if its specific force exceeds the possible thrust by more than this.",
     )
     free_height_m: float = _rule(
-        0.3, "m", "Height above the lowest place above which a vehicle flies freely."
+        0.3, "m", "A vehicle more than this above the lowest place of its log flies freely."
     )
-    still_m: float = _rule(0.02, "m", "Extent over 0.3 s below which a vehicle rests.")
+    still_m: float = _rule(0.02, "m", "A vehicle that moves less than this in 0.3 s is still.")
     resting_thrust_g: float = _rule(
-        0.3, "g", "Specific thrust below which a still vehicle rests on the floor."
+        0.3, "g", "A still vehicle with less specific thrust than this rests on the floor."
     )
     sparse_rate_hz: float = _rule(
         20.0, "Hz", "Median rate below which a topic is not checked for rate drops."
@@ -280,7 +312,7 @@ class Rules:
     @property
     def prior_log_odds(self) -> float:
         """Prior log odds of each effect."""
-        return math.log(1.0 / self.prior_odds)
+        return math.log(1.0 / self.prior_odds_against)
 
 
 RULES = Rules()

@@ -1,9 +1,9 @@
-"""Fits of sets of effects to whole flights in closed loop, rolled out by phi from their references.
+"""Fits of sets of effects to whole flights, predicted from their references by the closed-loop model phi.
 
 In command-driven segments, noise of the gyro enters both the commands that drive the model and the
 measurements that it is compared with. This biases motor lag, delay and inertia. Here the reference drives the
 model through the control law, so timing, inertia, thrust over mass and aerodynamic parameters have no such
-bias. The rate integral of the control law shows unmodelled torques.
+bias. The integrator state of the rate controller shows unmodelled torques.
 
 A gust shows in position, attitude and rate at once. The residual of poses, body rate and rate integral is
 therefore one coloured process over all channels. A vector autoregression, fitted to the residual, whitens it.
@@ -20,22 +20,21 @@ import numpy as np
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.flight_fit.loop import Loop
-from trimtab.host.trace.flight_fit.whitening import (
-    Whitening,
-    autoregression,
-    span_of,
-    stretches,
-    whitened,
-)
+from trimtab.host.trace.flight_fit.loop import ClosedLoop
+from trimtab.host.trace.flight_fit.whitening import Whitening, autoregression, span_of, usable_bins, whitened
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 
 LOOP_SETTLED = 0.3
-"""Greatest step, in standard deviations, that the fit takes without another roll-out."""
+"""A fit ends at a step smaller than this many standard deviations."""
 
 _ITERATIONS = 6
-_PASSES, _SETTLED_WELL = 6, 0.1
+_MAX_REFITS = 6
+"""Greatest number of linearisations of a fit with a given whitening."""
+
+_REFIT_SETTLED = 0.1
+"""Step, in standard deviations, below which that fit ends."""
+
 _LINE = (1.0, 0.5, 0.25, 0.1)
 """Step lengths of the line search, as shares of the Gauss-Newton step."""
 
@@ -75,11 +74,12 @@ class FlightFit:
 
 
 def whitened_grams(
-    white: Whitening, loop: Loop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+    white: Whitening, loop: ClosedLoop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
 ) -> np.ndarray:
     """Return the Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes].
 
-    base: residual (bins, 12) of each flight. slopes: negative slopes (P, bins, 12) of each flight.
+    base: residual (bins, 12) of each flight, measured minus predicted. slopes: derivatives (P, bins, 12) of
+    the prediction of each flight with respect to theta_scaled.
     """
     grams = []
     for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
@@ -88,7 +88,9 @@ def whitened_grams(
     return np.stack(grams)
 
 
-def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order: int) -> FlightFit:
+def fit_closed_loop(
+    loop: ClosedLoop, effects: Sequence[str], theta_scaled: np.ndarray, order: int
+) -> FlightFit:
     """Fit the set `effects` to whole flights by Gauss-Newton with a line search.
 
     theta_scaled (P,): start of the fit. order: order of the autoregression, which is fitted again to the
@@ -113,7 +115,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order
             break
         theta_scaled, base = moved, residuals
         iteration += 1
-    count = sum(len(stretches(k, span_of(order))) for k in loop.known)
+    count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
     log_det = count * float(np.linalg.slogdet(white.innovation)[1])
     return FlightFit(
         effects=tuple(sorted(effects)),
@@ -130,7 +132,7 @@ def fit_loop(loop: Loop, effects: Sequence[str], theta_scaled: np.ndarray, order
 
 
 def _linear_step(
-    loop: Loop,
+    loop: ClosedLoop,
     base: Sequence[np.ndarray],
     slopes: Sequence[np.ndarray],
     order: int,
@@ -142,11 +144,11 @@ def _linear_step(
     residuals = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
     white = autoregression(residuals, loop.known, order)
     grams = whitened_grams(white, loop, base, slopes)
-    step, covariance = evidence.bounded(grams.sum(0), theta_scaled, precision, loop.space.bounds)
+    step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
 
 
-def _position_rms(loop: Loop, residuals: Sequence[np.ndarray]) -> float:
+def _position_rms(loop: ClosedLoop, residuals: Sequence[np.ndarray]) -> float:
     """Return the root mean square in m of the position part of residuals (bins, 12) of each flight."""
     squares = [np.square(r[mask, :3]).sum(1) for r, mask in zip(residuals, loop.known, strict=True)]
     return float(np.sqrt(np.concatenate(squares).mean()))
@@ -159,12 +161,15 @@ def prior_of(space: ParameterSpace) -> Prior:
 
 
 def loop_discrepancy(space: ParameterSpace) -> np.ndarray:
-    """Return one sigma (P,), scaled, of the error of phi itself in every parameter."""
+    """Return the loop discrepancy (P,) of every parameter.
+
+    It is the standard deviation, scaled, of the value that flight fits show although the effect is absent.
+    """
     return np.array([column.loop_discrepancy for column in space.columns])
 
 
 def _line_search(
-    loop: Loop,
+    loop: ClosedLoop,
     white: Whitening,
     precision: np.ndarray,
     theta_scaled: np.ndarray,
@@ -190,7 +195,7 @@ def _line_search(
 class FlightFitter:
     """Fitter of sets of effects to whole flights in closed loop, with one order of the autoregression."""
 
-    loop: Loop
+    loop: ClosedLoop
     order: int
     _starts: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(
         default_factory=dict, init=False
@@ -217,7 +222,7 @@ class FlightFitter:
                 columns = list(self.space.groups[name])
                 if gain > RULES.worth_fitting_nats:
                     theta_scaled[columns] = theta_start[columns]
-        fit = fit_loop(self.loop, effects, theta_scaled, self.order)
+        fit = fit_closed_loop(self.loop, effects, theta_scaled, self.order)
         # The autoregression predicts a large smooth error well: log evidence alone would not reject it.
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
@@ -233,8 +238,8 @@ class FlightFitter:
             lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
         ]
 
-    def beyond(self, fit: FlightFit) -> list[Names]:
-        """Return sets with one more effect that gains much from one of its `Effect.starts`.
+    def underrated_extensions(self, fit: FlightFit) -> list[Names]:
+        """Return sets with one more effect that gains much from one of the start values in its effect file.
 
         The linearisation of `fit` underrates such an effect, since its slope at neutral shows little.
         """
@@ -255,8 +260,9 @@ class FlightFitter:
     def _best_start(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
         """Return the gain in nats of the effect at the best of its starts, and theta_scaled (P,) there.
 
-        The gain is that of the best non-negative multiple of the change at the start, with all other
-        parameters free under the prior of `fit`.
+        Treat the change of the prediction from `fit` to the start as one regressor with a non-negative
+        coefficient. The gain is that of its best coefficient, with all other parameters free under the prior
+        of `fit`.
         """
         space, columns = self.space, list(self.space.groups[name])
         points = np.repeat(fit.theta_scaled[:, None], len(space.effect(name).starts), axis=1)
@@ -289,18 +295,19 @@ class FlightFitter:
         return gains[best], points[:, best]
 
 
-def weighted(
-    loop: Loop,
+def fit_with_whitening(
+    loop: ClosedLoop,
     white: Whitening,
     effects: Sequence[str],
     theta_scaled: np.ndarray,
     *,
     centre: np.ndarray | float = 0.0,
-    count: float = 1.0,
+    flight_weight: float = 1.0,
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Fit `effects` with a given whitening; return estimate, covariance and Grams.
 
-    The Grams are divided by RULES.temper, since the innovations keep a slow part.
+    The Grams are divided by RULES.temper, since the innovations stay correlated over about a second (see
+    `whitening`).
 
     Parameters
     ----------
@@ -314,7 +321,7 @@ def weighted(
         Start (P,) of the fit, scaled.
     centre
         Mean (P,) of the prior, scaled.
-    count
+    flight_weight
         Weight of each flight.
 
     Returns
@@ -328,15 +335,15 @@ def weighted(
     while True:
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
         grams = (
-            count
+            flight_weight
             / RULES.temper
             * whitened_grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
         )
         deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
-        step, covariance = evidence.bounded(grams.sum(0), deviation, precision, limits)
+        step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)
         theta_scaled = loop.space.clipped(theta_scaled + step)
         turn += 1
-        settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _SETTLED_WELL
-        if settled or turn == _PASSES:
+        settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _REFIT_SETTLED
+        if settled or turn == _MAX_REFITS:
             return theta_scaled, covariance, grams

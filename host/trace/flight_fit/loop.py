@@ -47,7 +47,7 @@ class _SettingGroup:
     constants: np.ndarray
 
 
-class Loop:
+class ClosedLoop:
     """Closed-loop model phi with the effects of a parameter space, over recordings of whole flights."""
 
     def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: ParameterSpace) -> None:
@@ -134,7 +134,9 @@ class Loop:
         *,
         afresh: bool = False,
     ) -> list[np.ndarray]:
-        """Return the negative slopes (P, bins, 12) of the residual of each flight at theta_scaled (P,).
+        """Return the derivatives (P, bins, 12) of the prediction of each flight at theta_scaled (P,).
+
+        They are the negative derivatives of the residual, measured minus predicted.
 
         The first call computes the slopes of all parameters and caches them. Later calls update only the
         slopes of `effects` and of effects with states of their own. The slopes of the other effects hardly
@@ -239,19 +241,19 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
 
 def closed_loop(
     flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, theta_scaled: np.ndarray
-) -> Loop:
+) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
     theta_scaled (P,): scaled parameters that give the pose latency. Raises TooLittleData if a log lacks a
     required topic.
     """
-    values = space.theta(list(space.values(theta_scaled)))
+    values = space.by_owner(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     states = flight_states([data.flight for data in flights], latency_s=latency_s)
-    return Loop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
+    return ClosedLoop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
 
 
-def tracking_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
+def tracking_time_and_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
     """Return the tracking time of all flights in s, and the greatest extent of one along a NED axis in m."""
     spans = [data.signals for data in flights]
     return sum(s.span_s[1] - s.span_s[0] for s in spans), max(_extent(s) for s in spans)
@@ -262,6 +264,6 @@ def _extent(s: Signals) -> float:
     return float(np.ptp(s.p_ned[inside], axis=0).max())
 
 
-def order_of(loop: Loop) -> int:
+def order_of(loop: ClosedLoop) -> int:
     """Return the order of the autoregression that the known bins of these flights determine."""
     return affordable(sum(int(mask.sum()) for mask in loop.known))

@@ -3,8 +3,8 @@
 Repeat flights share only the vehicle, its surroundings and the reference. Their difference contains only
 turbulence and noise, so an autoregression fitted to the difference whitens the residuals without any
 knowledge of the physics. The part of the whitened residuals that repeat flights have in common is physics
-that the model lacks. Segments are less sensitive: within a segment, the response of the loop to a gust looks
-like a model error, and it repeats as well.
+that the model lacks. Segments are less sensitive: the form of the loop's response to
+a gust is the same in every flight, so within a segment a part of it repeats and looks like a model error.
 """
 
 from __future__ import annotations
@@ -15,15 +15,15 @@ from dataclasses import replace
 import numpy as np
 
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import FlightFit, weighted
-from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.fit import FlightFit, fit_with_whitening
+from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
 from trimtab.host.trace.flight_fit.whitening import (
     CHANNELS,
     Whitening,
     affordable,
     autoregression,
-    stretches,
+    usable_bins,
     whitened,
 )
 from trimtab.host.trace.residual.unexplained import FlightRepeat
@@ -33,7 +33,7 @@ _SHIFT_STEP = 5
 
 
 def repeatability_of(
-    loop: Loop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
+    loop: ClosedLoop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> FlightRepeat | None:
     """Return how much of the residual repeats between repeat flights; None without repeat flights.
 
@@ -54,7 +54,7 @@ def repeatability_of(
         return None
     common, variance, count, position = 0.0, 0.0, 0, 0.0
     for first, second, known in pairs:
-        usable = stretches(known, white.span)
+        usable = usable_bins(known, white.span)
         x, y = whitened(white, np.stack([first, second]), known).reshape(2, len(usable), -1)
         shifts = range(
             round(RULES.repeat_shift_s / FLIGHT_BIN_S),
@@ -80,7 +80,7 @@ def repeatability_of(
 
 
 def turbulence(
-    loop: Loop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
+    loop: ClosedLoop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> Whitening | None:
     """Return the whitening of turbulence and noise, fitted to differences of repeat flights.
 
@@ -91,8 +91,8 @@ def turbulence(
     return _turbulence(_pairs(loop, theta_scaled, repeat_flights), order)
 
 
-def in_turbulence(
-    loop: Loop, fit: FlightFit, order: int, repeat_flights: Sequence[tuple[int, int]]
+def refit_with_turbulence_whitening(
+    loop: ClosedLoop, fit: FlightFit, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> FlightFit:
     """Return `fit` refitted with the whitening of turbulence; without repeat flights, `fit` tempered.
 
@@ -107,7 +107,7 @@ def in_turbulence(
     white = turbulence(loop, fit.theta_scaled, order, repeat_flights)
     if white is None:
         return replace(fit, covariance=RULES.temper * fit.covariance, grams=fit.grams / RULES.temper)
-    theta_scaled, covariance, grams = weighted(loop, white, fit.effects, fit.theta_scaled)
+    theta_scaled, covariance, grams = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
     return replace(
         fit, theta_scaled=theta_scaled, at=theta_scaled, covariance=covariance, whitening=white, grams=grams
     )
@@ -117,7 +117,9 @@ _Pair = tuple[np.ndarray, np.ndarray, np.ndarray]
 """Residuals (bins, 12) of two repeat flights, and which of the bins (bins,) are known in both."""
 
 
-def _pairs(loop: Loop, theta_scaled: np.ndarray, repeat_flights: Sequence[tuple[int, int]]) -> list[_Pair]:
+def _pairs(
+    loop: ClosedLoop, theta_scaled: np.ndarray, repeat_flights: Sequence[tuple[int, int]]
+) -> list[_Pair]:
     """Return the pairs of repeat flights that are long enough to be compared."""
     residuals = [lanes[0] for lanes in loop.residuals(theta_scaled[:, None])] if repeat_flights else []
     pairs = []

@@ -4,7 +4,7 @@ A gust shows in position, attitude and rate at once, so all channels of a bin ar
 the bins before it. Recent bins enter one by one, earlier ones as means (Corsi 2009, "A simple approximate
 long-memory model of realized volatility"). The closed loop takes about a second to reject a gust. Windows
 that reach back that far overfit the few gusts of the flights and whiten no better. The innovations therefore
-keep a slow part; `trimtab.host.trace.flight_fit.fit.weighted` allows for it by `RULES.temper`.
+keep a slow part; `trimtab.host.trace.flight_fit.fit.fit_with_whitening` allows for it by `RULES.temper`.
 """
 
 from __future__ import annotations
@@ -66,7 +66,7 @@ def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray],
     """
     before, now = [], []
     for r, mask in zip(residuals, known, strict=True):
-        usable = stretches(mask, span_of(order))
+        usable = usable_bins(mask, span_of(order))
         before.append(_past(r, order)[usable])
         now.append(r[usable])
     X, Y = np.concatenate(before), np.concatenate(now)
@@ -91,7 +91,7 @@ def _past(x: np.ndarray, order: int) -> np.ndarray:
     return out
 
 
-def stretches(known: np.ndarray, span: int) -> np.ndarray:
+def usable_bins(known: np.ndarray, span: int) -> np.ndarray:
     """Return the indices of bins that are known (bins,) together with the `span` bins before them."""
     counts = np.convolve(known.astype(int), np.ones(span + 1, dtype=int))[: len(known)]
     usable = np.flatnonzero(counts == span + 1)
@@ -101,9 +101,9 @@ def stretches(known: np.ndarray, span: int) -> np.ndarray:
 def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
     """Return columns (m, bins, 12) of one flight as innovations (m, n) of unit covariance.
 
-    known (bins,): mask. n = 12 times the number of bins that `stretches` returns.
+    known (bins,): mask. n = 12 times the number of bins that `usable_bins` returns.
     """
-    usable = stretches(known, white.span)
+    usable = usable_bins(known, white.span)
     whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
     out = columns[:, usable] @ whiten.T
     out -= _past(columns, white.order)[:, usable] @ (white.coefficients @ whiten.T)

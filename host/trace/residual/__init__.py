@@ -1,1 +1,1 @@
-"""The residual of a model: whether it repeats between flights or rings, and what it depends on."""
+"""The residual of a model: whether it repeats between flights, its spectral line, and what it depends on."""

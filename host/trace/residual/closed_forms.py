@@ -1,4 +1,4 @@
-"""Closed forms of a force that depends on position: towards a point, around a place, a jet, a wall."""
+"""Closed forms of a force in space: to a point, around a place, a jet, along a direction (as near a wall)."""
 
 from __future__ import annotations
 

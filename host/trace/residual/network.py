@@ -22,7 +22,7 @@ DIRECTED = ("position", "time", "attitude", "constant")
 
 
 @dataclass(frozen=True, kw_only=True)
-class Unexplained:
+class NetworkResult:
     """Result of training a network on the unexplained residual.
 
     before, after: errors on whole held-out flights with the traced model, and with the network added to it.
@@ -38,14 +38,14 @@ class Unexplained:
         return {"before": self.before.to_json(), "after": self.after.to_json(), "model": model_path}
 
 
-def unexplained(
+def train_network(
     flights: Sequence[Flight],
     held_out: Sequence[Flight],
     model: Model,
     effects: Mapping[str, Effect],
     description: Description,
     on_progress: Callable[[str], None] = lambda _: None,
-) -> Unexplained | None:
+) -> NetworkResult | None:
     """Train a network on the residual of `model` and judge it on held-out flights.
 
     Returns None if no flight is held out or the logs are too short to learn from.
@@ -82,4 +82,4 @@ def unexplained(
         return None
     assert learned.test is not None
     improved = learned.model if learned.improved else None
-    return Unexplained(before=learned.test.base, after=learned.test.learned, model=improved)
+    return NetworkResult(before=learned.test.base, after=learned.test.learned, model=improved)

@@ -2,7 +2,8 @@
 
 Repeat flights share only the vehicle, its surroundings and the reference. The part of the estimated
 disturbance that repeats between them is therefore physics that the model lacks, however small it is next to
-the turbulence. Its power, the mean of w_1 . w_2, needs no noise floor. A disturbance of random phase does not
+the turbulence. The mean of w_1 . w_2, the product of two repeat flights, is not biased by noise, so no noise
+floor is subtracted. A disturbance of random phase does not
 repeat, but shows as a line in the spectrum.
 """
 
@@ -26,7 +27,7 @@ class SpectralLine:
     """The strongest line in the spectrum of a residual.
 
     ratio: its power over the median power of neighbouring frequencies. hz: its frequency. chance: probability
-    that noise alone shows a line of this ratio. rms: its amplitude, in the unit of the residual.
+    that noise alone shows a line of this ratio. rms: its root mean square, in the unit of the residual.
     """
 
     ratio: float = 1.0
@@ -76,8 +77,8 @@ class FlightRepeat:
             return 0.0
         return self.share * (1.0 - rules.repeat_standard_errors / self.z_score)
 
-    def log_evidence(self, rules: Rules) -> float:
-        """Return the log evidence in nats that a perfect model would gain; 0 if nothing repeats."""
+    def attainable_nats(self, rules: Rules) -> float:
+        """Return the nats of log evidence that a perfect model would gain; 0 if nothing repeats."""
         return 0.5 * self.size * self.share if self.z_score > rules.repeat_z else 0.0
 
 
@@ -91,7 +92,7 @@ class UnexplainedResidual:
         Residual disturbance of segments.
     pairs
         Number of pairs of repeat flights.
-    flights
+    flight_repeat
         Repeatability of whole flights in closed loop; None if none were compared. If present, it decides
         whether something repeats, and `force` and `torque` only show what.
     """
@@ -99,7 +100,7 @@ class UnexplainedResidual:
     force: ChannelResidual
     torque: ChannelResidual
     pairs: int
-    flights: FlightRepeat | None = None
+    flight_repeat: FlightRepeat | None = None
 
 
 def unexplained_residual(
@@ -171,8 +172,8 @@ def _repeat(
 def _line(w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.ndarray) -> SpectralLine:
     """Return the strongest line in the spectrum of w (segments, bins, 3).
 
-    The spectrum of each channel is divided by its median. Frequencies at which the vehicle was flown are left
-    out, since any force that depends on the motion has a line there; `motion` (segments, bins, 3) shows them:
+    The spectrum of each channel is divided by its median. Frequencies that the motion excites are left
+    out, since any force that depends on the motion has a line there. `motion` (segments, bins, 3) shows them:
     the velocity for a force, the body rate for a torque. `SpectralLine.chance` is the probability of such a
     ratio anywhere in the band if there is no line.
     """
@@ -194,8 +195,8 @@ def _line(w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.nda
         for window in _windows(motion[order], start_s[order]):
             motion_power += _periodogram(window).sum(1)
     background = np.array([np.median(power[max(0, k - 14) : k + 15]) for k in range(len(power))])
-    not_flown = motion_power <= RULES.excited_power_share * motion_power.max()
-    inside = (hz > RULES.line_min_hz) & (hz < RULES.line_max_hz) & not_flown
+    not_excited = motion_power <= RULES.excited_power_share * motion_power.max()
+    inside = (hz > RULES.line_min_hz) & (hz < RULES.line_max_hz) & not_excited
     band = np.flatnonzero(inside)
     if not len(band):
         return NO_LINE

@@ -9,21 +9,23 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.evidence import Linearisation, Prior, Process
+from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation, Prior
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.linearise import Basis
-from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
+from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
 
 _CALM = float(np.log(0.05**2))
 """Log variance of a force in calm air, (m/s^2)^2."""
-START = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
-START_RATE_DRIVEN = Process(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2)))
+START = DisturbanceVariances(log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.6**2)))
+START_RATE_DRIVEN = DisturbanceVariances(
+    log_lateral=_CALM, log_axial=_CALM, log_torque=float(np.log(0.02**2))
+)
 
 SEGMENTS_SETTLED = 0.2
-"""Greatest step, in standard deviations, at which a fit ends. With a greater one, the evidence would depend
-on the start of the fit by nats."""
+"""Greatest step, in standard deviations, at which a fit ends. With a greater one, the evidence
+would change by several nats with the start of the fit."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,12 +40,12 @@ class SegmentFit:
         In nats.
     theta_scaled, covariance
         Estimate (P,) and its covariance (P, P), scaled.
-    local
-        Nuisances (flights, LOCALS).
+    nuisances
+        Nuisances (flights, NUISANCES).
     process
         Process disturbance of greatest evidence.
     lin
-        Last linearisation; its point is up to a standard deviation from the estimate.
+        Last linearisation; its point is one step away from the estimate.
     data
         Segments with the fitted initial states and disturbances.
     basis
@@ -53,15 +55,15 @@ class SegmentFit:
     effects: Names
     log_evidence: float
     theta_scaled: np.ndarray
-    local: np.ndarray
+    nuisances: np.ndarray
     covariance: np.ndarray
-    process: Process
+    process: DisturbanceVariances
     lin: Linearisation
     data: Segments
     basis: Basis
 
 
-def starting_process(data: Segments) -> Process:
+def starting_process(data: Segments) -> DisturbanceVariances:
     """Return the process disturbance from which the first fit of these segments starts."""
     return START_RATE_DRIVEN if data.rate_driven else START
 
@@ -106,8 +108,12 @@ class SegmentFitter:
             for white in whites
         ]
 
-    def beyond(self, fit: SegmentFit) -> list[Names]:
-        """Return no set: segments start on the measured path, which already contains a payload's swing."""
+    def underrated_extensions(self, fit: SegmentFit) -> list[Names]:
+        """Return no set.
+
+        No effect needs start values here: segments start on the measured path, which already contains a
+        payload's swing.
+        """
         return []
 
 
@@ -121,9 +127,10 @@ def refit(
 ) -> SegmentFit:
     """Fit all parameters by Gauss-Newton under the prior of `effects`.
 
-    Every step also fits the process disturbance. The first fit, without `start`, also determines the
-    trajectories along which the basis is computed. Its columns are long vectors, so along a wrong trajectory
-    a column of the basis would no longer be parallel to the column of an effect of the same shape.
+    Every step also fits the process disturbance. The basis (Jacobian columns of initial state, nuisances and
+    disturbance) is reused by later fits, so the first fit, without `start`, also finds the trajectories for
+    it. On wrong trajectories the basis column of, say, a constant torque would differ from the column of an
+    effect that acts alike, and terms that should cancel would look like information.
 
     Parameters
     ----------
@@ -142,11 +149,11 @@ def refit(
     precision = prior.precision(effects)
     if start is None:
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
-        local = np.zeros((int(data.flight.max()) + 1, LOCALS))
-        data = data.with_w(linearise.measured_turn(segment_model, data))
-        basis = linearise.basis(segment_model, data, theta_scaled, local)
+        nuisances = np.zeros((int(data.flight.max()) + 1, NUISANCES))
+        data = data.with_w(linearise.disturbance_from_measured_rotation(segment_model, data))
+        basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     else:
-        theta_scaled, local, process = start.lin.theta_scaled.copy(), start.lin.local, start.process
+        theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
             theta_scaled[list(space.groups[name])] = 0.0
         basis = start.basis
@@ -155,23 +162,23 @@ def refit(
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
-            lin, data = _linearised(segment_model, data, theta_scaled, local, basis)
+            lin, data = _linearised(segment_model, data, theta_scaled, nuisances, basis)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.whitened(lin, process, prior)
-        step, covariance = evidence.bounded(white.gram, theta_scaled, precision, space.bounds)
+        step, covariance = evidence.bounded_step(white.gram, theta_scaled, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
         settled = iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED
         done = np.abs(step).max() < 0.03 or settled or iteration == iterations - 1
         step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
         if done:
             break
-        local_step = evidence.local_step(lin, white, prior, step)
-        local = local + local_step
-        data = data.with_w(evidence.disturbances(lin, process, step, local_step))
+        nuisance_step = evidence.nuisance_step(lin, white, prior, step)
+        nuisances = nuisances + nuisance_step
+        data = data.with_w(evidence.disturbances(lin, process, step, nuisance_step))
         theta_scaled = theta_scaled + step
         if start is None and iteration < 2:
-            data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, local, basis, 2))
-            basis = linearise.basis(segment_model, data, theta_scaled, local)
+            data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
+            basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
         iteration += 1
     return SegmentFit(
         effects=tuple(sorted(effects)),
@@ -179,7 +186,7 @@ def refit(
             white.gram, white.log_det, theta_scaled, precision, len(effects), space.bounds
         ),
         theta_scaled=theta_scaled + step,
-        local=local + evidence.local_step(lin, white, prior, step),
+        nuisances=nuisances + evidence.nuisance_step(lin, white, prior, step),
         covariance=covariance,
         process=process,
         lin=lin,
@@ -189,12 +196,12 @@ def refit(
 
 
 def _linearised(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, basis: Basis
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray, basis: Basis
 ) -> tuple[Linearisation, Segments]:
     """Return the linearisation at a point, and the segments with the initial states fitted there."""
-    grams = linearise.linearise(segment_model, data, theta_scaled, local, basis)
+    grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
     data = data.with_x0(grams.x0)
-    return linearise.project(grams, data, theta_scaled, local), data
+    return linearise.project(grams, data, theta_scaled, nuisances), data
 
 
 def at_parameters(
@@ -222,23 +229,25 @@ def at_parameters(
     log_evidence
         Log evidence of the flight fit, in nats.
     """
-    prior, data, local, process = segment_model.space.prior, start.data, start.local, start.process
+    prior, data, nuisances, process = segment_model.space.prior, start.data, start.nuisances, start.process
     for last in (False, True):
-        grams = linearise.linearise(segment_model, data, theta_scaled, local, start.basis)
+        grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, theta_scaled, local)
+        lin = linearise.project(grams, data, theta_scaled, nuisances)
         process = evidence.fit_process(lin, prior, effects, process)
-        local_step = evidence.local_step(
+        nuisance_step = evidence.nuisance_step(
             lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(theta_scaled))
         )
-        local = local + local_step
+        nuisances = nuisances + nuisance_step
         if not last:
-            data = data.with_w(evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), local_step))
+            data = data.with_w(
+                evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), nuisance_step)
+            )
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
         theta_scaled=theta_scaled,
-        local=local,
+        nuisances=nuisances,
         covariance=covariance,
         process=process,
         lin=lin,
@@ -253,16 +262,16 @@ def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
     Specific force in m/s^2, then angular acceleration in rad/s^2, in the linearisation of `fit`.
     """
     return evidence.disturbances(
-        fit.lin, fit.process, theta_scaled - fit.lin.theta_scaled, fit.local - fit.lin.local
+        fit.lin, fit.process, theta_scaled - fit.lin.theta_scaled, fit.nuisances - fit.lin.nuisances
     )
 
 
 def unknowns_only(space: ParameterSpace, null_fit: SegmentFit) -> np.ndarray:
-    """Return theta_scaled (P,) of the model without effects: 0, except for what the logs declare unknown.
+    """Return theta_scaled (P,) of the model without effects: 0, except for freed adjustments.
 
-    null_fit: segment fit without effects, which gives the values of the unknowns.
+    null_fit: segment fit without effects, which gives the values of the freed adjustments.
     """
-    unknown = [i for i, column in enumerate(space.columns) if column.owner in space.unknown]
+    freed = [i for i, column in enumerate(space.columns) if column.owner in space.freed]
     theta_scaled = np.zeros(len(space.columns))
-    theta_scaled[unknown] = null_fit.theta_scaled[unknown]
+    theta_scaled[freed] = null_fit.theta_scaled[freed]
     return theta_scaled

@@ -17,7 +17,7 @@ from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.evidence import Linearisation
-from trimtab.host.trace.segment_fit.model import LOCALS, STATES, SegmentModel
+from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
 _LANES = 2500
@@ -26,7 +26,7 @@ _X_STEP = np.full(STATES, 1e-6)
 TURN_STEPS = 6
 """Steps between the poses that give a body rate. More average attitude noise, fewer follow fast turns."""
 
-_LOCAL_STEP = np.full(LOCALS, 1e-5)
+_NUISANCE_STEP = np.full(NUISANCES, 1e-5)
 _BIN_STEP = np.full(6, 1e-5)
 _THETA_STEP = 1e-5
 """Step of the difference quotients, scaled. It must be small: attitude responds so strongly to torque that
@@ -53,7 +53,7 @@ class Basis:
     @property
     def bins(self) -> np.ndarray:
         """Columns (S, 6 bins, n) of the disturbance."""
-        return self.columns[:, STATES + LOCALS :]
+        return self.columns[:, STATES + NUISANCES :]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -78,14 +78,14 @@ class _Lanes:
         data: Segments,
         x0: np.ndarray,
         theta_scaled: np.ndarray,
-        local: np.ndarray,
+        nuisances: np.ndarray,
         memory: np.ndarray,
         count: int,
     ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
         self.theta_scaled = np.repeat(theta_scaled[:, None], count, axis=1)
         self.memory = np.broadcast_to(memory, (len(memory), count, len(data.flight)))
-        self.local = np.repeat(local[data.flight].T[:, None, :], count, axis=1)
+        self.nuisances = np.repeat(nuisances[data.flight].T[:, None, :], count, axis=1)
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
@@ -96,7 +96,8 @@ class _Lanes:
         """
         added = self.bins if bins else None
         r = residuals(
-            data, roll_out(segment_model, data, self.x0, self.theta_scaled, self.local, added, self.memory)
+            data,
+            roll_out(segment_model, data, self.x0, self.theta_scaled, self.nuisances, added, self.memory),
         )
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
@@ -109,22 +110,24 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
     return [slice(i, i + size) for i in range(0, len(data.flight), size)]
 
 
-def basis(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Basis:
-    """Return the basis at scaled parameters theta_scaled (P,) and flight nuisances `local` (flights, 9)."""
-    count = 1 + STATES + LOCALS + 6 * data.bins
+def basis(
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray
+) -> Basis:
+    """Return the basis at scaled parameters theta_scaled (P,) and nuisances (flights, 9)."""
+    count = 1 + STATES + NUISANCES + 6 * data.bins
     memory = remembered(segment_model, data, theta_scaled[:, None])
     parts = []
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, part.x0, theta_scaled, local, memory[:, :, chunk], count)
+        lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory[:, :, chunk], count)
         for i in range(STATES):
             lanes.steps[1 + i] = _X_STEP[i]
             lanes.x0[i, 1 + i] += _X_STEP[i]
         first = 1 + STATES
-        for i in range(LOCALS):
-            lanes.steps[first + i] = _LOCAL_STEP[i]
-            lanes.local[i, first + i] += lanes.steps[first + i]
-        first += LOCALS
+        for i in range(NUISANCES):
+            lanes.steps[first + i] = _NUISANCE_STEP[i]
+            lanes.nuisances[i, first + i] += lanes.steps[first + i]
+        first += NUISANCES
         for b in range(data.bins):
             for i in range(6):
                 lanes.steps[first + 6 * b + i] = _BIN_STEP[i]
@@ -134,7 +137,7 @@ def basis(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray,
     return Basis(columns=whole, gram=whole @ np.swapaxes(whole, 1, 2))
 
 
-def measured_turn(segment_model: SegmentModel, data: Segments) -> np.ndarray:
+def disturbance_from_measured_rotation(segment_model: SegmentModel, data: Segments) -> np.ndarray:
     """Return the disturbance (S, bins, 6), FRD, that explains the measured rotation with the nominal model.
 
     Its angular acceleration, in rad/s^2, is the measured one minus the modelled one. If the gyro was not
@@ -184,7 +187,7 @@ def fitted_x0(
     segment_model: SegmentModel,
     data: Segments,
     theta_scaled: np.ndarray,
-    local: np.ndarray,
+    nuisances: np.ndarray,
     basis: Basis,
     iterations: int = 1,
     memory: np.ndarray | None = None,
@@ -199,7 +202,7 @@ def fitted_x0(
         Segments; the iteration starts at their x0.
     theta_scaled
         Scaled parameters (P,).
-    local
+    nuisances
         Nuisances (flights, 9).
     basis
         Columns of the Jacobian.
@@ -216,14 +219,14 @@ def fitted_x0(
         residual = []
         for chunk in _chunks(data, 1):
             part = data.take(chunk)
-            lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], 1)
+            lanes = _Lanes(part, x0[chunk], theta_scaled, nuisances, memory[:, :, chunk], 1)
             residual.append(lanes.jacobian(segment_model, part, bins=False)[:, 0])
         x0 = x0 + np.linalg.solve(normal, basis.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
     return x0
 
 
 def linearise(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, local: np.ndarray, basis: Basis
+    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray, basis: Basis
 ) -> Grams:
     """Return the Grams of all segments at scaled parameters theta_scaled (P,) and nuisances (flights, 9).
 
@@ -234,14 +237,14 @@ def linearise(
     points = np.repeat(theta_scaled[:, None], count, axis=1)
     points[:, 1:] += _THETA_STEP * np.eye(len(theta_scaled))
     memory = remembered(segment_model, data, points)
-    x0 = fitted_x0(segment_model, data, theta_scaled, local, basis, memory=memory[:, :1])
+    x0 = fitted_x0(segment_model, data, theta_scaled, nuisances, basis, memory=memory[:, :1])
     first = 1 + len(theta_scaled)
     size = first + basis.columns.shape[1]
     gram = np.empty((len(data.flight), size, size))
     gram[:, first:, first:] = basis.gram
     for chunk in _chunks(data, count):
         part = data.take(chunk)
-        lanes = _Lanes(part, x0[chunk], theta_scaled, local, memory[:, :, chunk], count)
+        lanes = _Lanes(part, x0[chunk], theta_scaled, nuisances, memory[:, :, chunk], count)
         lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
         A = lanes.jacobian(segment_model, part, bins=False)
@@ -256,10 +259,10 @@ def linearise(
     return Grams(gram=gram, x0=x0, parameters=len(theta_scaled))
 
 
-def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, local: np.ndarray) -> Linearisation:
+def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray) -> Linearisation:
     """Return the linearisation with the initial state of every segment projected out, since it is free.
 
-    theta_scaled (P,), local (flights, 9): point of the linearisation.
+    theta_scaled (P,), nuisances (flights, 9): point of the linearisation.
     """
     gram = grams.gram
     first = 1 + grams.parameters
@@ -273,5 +276,5 @@ def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, local: np.nd
         gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C),
         flight=data.flight,
         theta_scaled=theta_scaled,
-        local=local,
+        nuisances=nuisances,
     )

@@ -26,7 +26,7 @@ from trimtab.host.vehicle import Vehicle
 Scalar = Any
 
 STATES = 12
-LOCALS = 9
+NUISANCES = 9
 """Nuisances of one flight, three each, FRD: mounting tilt of the markers (rad); a constant angular
 acceleration (rad/s^2) or, if the measured body rate drives the attitude, the gyro bias (rad/s);
 accelerometer bias (m/s^2)."""
@@ -36,7 +36,7 @@ CHANNELS = 12
 attitude (rad, FRD), mean body rate (rad/s, FRD) and mean specific force (m/s^2, FRD)."""
 
 _STEP_INPUTS = {
-    "body": STATES, "thrust": 4, "z": 0, "memory": 0, "local": LOCALS, "w": 6, "command": 4,
+    "body": STATES, "thrust": 4, "z": 0, "memory": 0, "nuisances": NUISANCES, "w": 6, "command": 4,
     "attitude": 9, "rate": 3, "voltage": 1, "t_s": 1, "shift_s": 1,
 }  # fmt: skip
 
@@ -98,7 +98,7 @@ class SegmentModel:
 
     def _parts(self, theta_scaled: Any) -> list[Part]:
         """Return every effect with its parameter values; theta_scaled: P rows of an array, or P scalars."""
-        theta = self.space.theta(self._values(theta_scaled))
+        theta = self.space.by_owner(self._values(theta_scaled))
         return [(self.space.effects[name], theta[name]) for name in self.space.parts]
 
     def _values(self, theta_scaled: Any) -> list[Any]:
@@ -107,7 +107,7 @@ class SegmentModel:
 
     def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
         """Return the four rotor thrusts in N that a command sets, before the motor lag."""
-        log_gain, linear = self.space.theta(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
+        log_gain, linear = self.space.by_owner(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
         if self.in_newton:
             return [gain * u for u in command]
@@ -173,7 +173,7 @@ class SegmentModel:
         """
         names = list(_STEP_INPUTS)
         columns, scalars = self._symbols(*names)
-        body, thrust, theta_scaled, memory, local, w, command, measured, rate = scalars[:9]
+        body, thrust, theta_scaled, memory, nuisances, w, command, measured, rate = scalars[:9]
         (voltage,), (t_s,), (shift,) = scalars[9:]
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
         lag = slots.motor_lag_s(CASADI, vehicle, parts)
@@ -184,7 +184,7 @@ class SegmentModel:
         force_ned = [
             measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
         ]
-        torque_frd = [local[3 + i] + w[3 + i] for i in range(3)]
+        torque_frd = [nuisances[3 + i] + w[3 + i] for i in range(3)]
         if self.rate_driven:
             body = [*body[:9], *(rate[i] + torque_frd[i] for i in range(3))]
 
@@ -203,12 +203,12 @@ class SegmentModel:
 
         late = shift - slots.mocap_latency_s(CASADI, parts)
         position = [body[i] + late * (body[3 + i] + 0.5 * late * k1[3 + i]) for i in range(3)]
-        R = _turned(euler_to_matrix(CASADI, body[6:9]), [local[i] + late * body[9 + i] for i in range(3)])
+        R = _turned(euler_to_matrix(CASADI, body[6:9]), [nuisances[i] + late * body[9 + i] for i in range(3)])
         predicted = [
             *position,
             *_apart(measured, R),
             *(body[9 + i] + 0.5 * dt * k2[9 + i] for i in range(3)),
-            *(f + b for f, b in zip(_specific_force(parts, half, k2), local[6:9], strict=True)),
+            *(f + b for f, b in zip(_specific_force(parts, half, k2), nuisances[6:9], strict=True)),
         ]
         blocks = {
             "body": [a + dt * b for a, b in zip(body, k2, strict=True)],

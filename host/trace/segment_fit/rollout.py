@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.segment_fit.model import CHANNELS, LOCALS, STATES, SegmentModel
+from trimtab.host.trace.segment_fit.model import CHANNELS, NUISANCES, STATES, SegmentModel
 
 
 def roll_out(
@@ -13,7 +13,7 @@ def roll_out(
     data: Segments,
     x0: np.ndarray,
     theta_scaled: np.ndarray,
-    local: np.ndarray,
+    nuisances: np.ndarray,
     bins: np.ndarray | None = None,
     memory: np.ndarray | None = None,
 ) -> np.ndarray:
@@ -32,7 +32,7 @@ def roll_out(
         Initial states (12, C, S): p, v NED, Euler angles Theta, body rate FRD.
     theta_scaled
         Scaled parameters (P, C).
-    local
+    nuisances
         Nuisances (9, C, S) of the flights.
     bins
         Disturbance (bins, 6, C) in addition to that of the segments: specific force m/s^2, then angular
@@ -53,7 +53,7 @@ def roll_out(
     repeated = np.repeat(theta_scaled, count, axis=1)
     inputs["z"][:] = repeated
     inputs["body"][:] = x0.reshape(STATES, total)
-    inputs["local"][:] = local.reshape(LOCALS, total)
+    inputs["nuisances"][:] = nuisances.reshape(NUISANCES, total)
     commands = _delayed(segment_model, data.command, theta_scaled)
     inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], repeated)
     if segment_model.memory:

@@ -22,7 +22,7 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData, unknowns
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.segment_fit import rollout
-from trimtab.host.trace.segment_fit.model import LOCALS, SegmentModel
+from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.sitl.studies.commandline import run_apart
 from trimtab.sitl.studies.files import StudyError, read_json, write_json
@@ -223,7 +223,7 @@ def _responses(vehicle: Vehicle, space: ParameterSpace, data: Segments, z: np.nd
     """
     lanes = z.shape[1]
     x0 = np.repeat(data.x0.T[:, None, :], lanes, axis=1)
-    local = np.zeros((LOCALS, lanes, len(data.flight)))
+    nuisances = np.zeros((NUISANCES, lanes, len(data.flight)))
     form = SegmentModel.of(vehicle, space, data)
-    found = rollout.roll_out(form, data, x0, z, local)
+    found = rollout.roll_out(form, data, x0, z, nuisances)
     return np.transpose(found[:, [9, 10, 11, 6, 7, 8]], (2, 3, 0, 1))

@@ -13,8 +13,8 @@ from trimtab.host.log import read_flight
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.logs import read_logs
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import fit_loop, prior_of, whitened_grams
-from trimtab.host.trace.flight_fit.loop import Loop, closed_loop, order_of
+from trimtab.host.trace.flight_fit.fit import fit_closed_loop, prior_of, whitened_grams
+from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import repeatability_of, turbulence
 from trimtab.host.trace.flight_fit.whitening import Whitening, whitened
 from trimtab.host.trace.parameters import ParameterSpace, space
@@ -60,7 +60,7 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     chosen = space(vehicle, load_effects())
     loop = closed_loop(logs.flights, vehicle, chosen, np.zeros(len(chosen.columns)))
     order = order_of(loop)
-    theta_scaled = fit_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
+    theta_scaled = fit_closed_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
     repeats = repeatability_of(loop, theta_scaled, order, logs.repeat_flights)
     white = turbulence(loop, theta_scaled, order, logs.repeat_flights)
     if repeats is None or white is None:
@@ -77,7 +77,7 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
 
 
 def _slope_power(
-    loop: Loop,
+    loop: ClosedLoop,
     white: Whitening,
     residuals: Sequence[np.ndarray],
     slopes: Sequence[np.ndarray],

@@ -21,7 +21,7 @@ from trimtab.host.models.model import Model
 from trimtab.host.trace.data.logs import repeat_flights_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import prior_of, weighted
+from trimtab.host.trace.flight_fit.fit import fit_with_whitening, prior_of
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import turbulence
 from trimtab.host.trace.next_flight.separation import separation
@@ -86,7 +86,9 @@ def effective(
     if white is None:
         raise ValueError("there are no repeat flights, so turbulence cannot be distinguished from physics")
     loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z)
-    z, covariance, grams = weighted(loop, white, names, z, centre=centre, count=len(flights) / len(still))
+    z, covariance, grams = fit_with_whitening(
+        loop, white, names, z, centre=centre, flight_weight=len(flights) / len(still)
+    )
     gram = grams.sum(0)[1:, 1:]
     return Effective(space=space, candidates=candidates, z=z, covariance=covariance, gram=gram)
 

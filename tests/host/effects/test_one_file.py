@@ -196,7 +196,7 @@ def test_workspace_effect_is_replaced_and_freed_by_unknowns(effects: dict[str, E
     assert not {"thrust-share", "pose-age", "thrust-gain"} & set(replaced.owners)
     for unknown in ([POSE_LATENCY], [THRUST, POSE_LATENCY]):
         free = space(VEHICLE, effects, unknown)
-        assert {"pose-age", "mocap-latency"} <= set(free.unknown)
+        assert {"pose-age", "mocap-latency"} <= set(free.freed)
         assert not {"pose-age", "mocap-latency"} & set(free.candidates)
         own, shipped = column(free, "pose-age"), column(free, "mocap-latency")
         assert (own.tolerance, own.lower, own.upper) == (0.03, -0.05, 0.06)

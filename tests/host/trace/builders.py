@@ -18,9 +18,9 @@ from trimtab.host.effects.parameter import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.decision.decide import Evidence
+from trimtab.host.trace.decision.decide import DecisionInputs
 from trimtab.host.trace.decision.findings import Verdict
-from trimtab.host.trace.evidence import Linearisation, Process
+from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation
 from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 from trimtab.host.trace.parameters import Column, ParameterSpace
@@ -35,7 +35,7 @@ from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.search import Names, SearchResult, null_probability_of
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.linearise import Basis
-from trimtab.host.trace.segment_fit.model import LOCALS, STATES
+from trimtab.host.trace.segment_fit.model import NUISANCES, STATES
 from trimtab.host.trace.selection import Diagnosis, Method
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
@@ -128,9 +128,9 @@ def build_space(*effects: Effect | str) -> ParameterSpace:
         for p in effect.parameters
     )
     owned = {"columns": columns, "effects": {effect.name: effect for effect in known}}
-    groups = ParameterSpace(**owned, candidates=(), unknown=(), local_sigma=(1.0,) * LOCALS).groups
+    groups = ParameterSpace(**owned, candidates=(), freed=(), nuisance_sigma=(1.0,) * NUISANCES).groups
     candidates = tuple(name for name in groups if name != MASS)
-    return ParameterSpace(**owned, candidates=candidates, unknown=(), local_sigma=(1.0,) * LOCALS)
+    return ParameterSpace(**owned, candidates=candidates, freed=(), nuisance_sigma=(1.0,) * NUISANCES)
 
 
 def build_segments(*, rate_driven: bool = False) -> Segments:
@@ -175,20 +175,22 @@ def build_fit(
 
     theta_scaled (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
     """
-    count, nuisances = len(theta_scaled), LOCALS + 6
+    count, nuisances = len(theta_scaled), NUISANCES + 6
     logs = {"lateral": lateral, "axial": axial, "torque": angular}
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,
         theta_scaled=np.array(theta_scaled, dtype=float),
-        local=np.zeros((1, LOCALS)),
+        nuisances=np.zeros((1, NUISANCES)),
         covariance=np.eye(count) if covariance is None else covariance,
-        process=Process(**{f"log_{name}": float(2.0 * np.log(sigma)) for name, sigma in logs.items()}),
+        process=DisturbanceVariances(
+            **{f"log_{name}": float(2.0 * np.log(sigma)) for name, sigma in logs.items()}
+        ),
         lin=Linearisation(
             gram=np.zeros((1, 1 + count + nuisances, 1 + count + nuisances)),
             flight=np.zeros(1, dtype=int),
             theta_scaled=np.array(theta_scaled, dtype=float),
-            local=np.zeros((1, LOCALS)),
+            nuisances=np.zeros((1, NUISANCES)),
         ),
         data=build_segments(rate_driven=rate_driven),
         basis=Basis(columns=np.zeros((1, STATES + nuisances, 24)), gram=np.zeros((1, 27, 27))),
@@ -280,11 +282,14 @@ def build_residual(
     force: ChannelResidual | None = None,
     torque: ChannelResidual | None = None,
     pairs: int = 1,
-    flights: FlightRepeat | None = None,
+    flight_repeat: FlightRepeat | None = None,
 ) -> UnexplainedResidual:
     """Return the residual of one pair of repeat flights; by default nothing is unexplained."""
     return UnexplainedResidual(
-        force=force or build_channel(), torque=torque or build_channel(), pairs=pairs, flights=flights
+        force=force or build_channel(),
+        torque=torque or build_channel(),
+        pairs=pairs,
+        flight_repeat=flight_repeat,
     )
 
 
@@ -292,8 +297,8 @@ LIBRARY = build_space("drag", "gain", "wind", "lag", "sag")
 """Five unrelated effects."""
 
 
-def build_evidence(selected: Names = (), **changes: Any) -> Evidence:
-    """Return clear evidence for the effects `selected` from long repeat flights, except for `changes`."""
+def build_inputs(selected: Names = (), **changes: Any) -> DecisionInputs:
+    """Return clear inputs for the effects `selected` from long repeat flights, except for `changes`."""
     clear: dict[str, Any] = {
         "space": LIBRARY,
         "null_probability": 0.0 if selected else 1.0,
@@ -311,7 +316,7 @@ def build_evidence(selected: Names = (), **changes: Any) -> Evidence:
         "tracking_s": 60.0,
         "extent_m": 2.0,
     }
-    return Evidence(selected=selected, **{**clear, **changes})
+    return DecisionInputs(selected=selected, **{**clear, **changes})
 
 
 def build_flight(

@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.log import Flight, RecordedImu, RecordedInputs, read_flight
 from trimtab.host.trace import words
 from trimtab.host.trace.answer import audit_json
-from trimtab.host.trace.data.audit import Stretch, audit, with_missing_repeats
+from trimtab.host.trace.data.audit import UnusedStretch, audit, with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code, Finding
@@ -62,7 +62,7 @@ def codes(findings: Sequence[Finding]) -> set[Code]:
     return {finding.code for finding in findings}
 
 
-def the_stretch(flight: Flight, code: Code) -> Stretch:
+def the_stretch(flight: Flight, code: Code) -> UnusedStretch:
     """Return the only stretch of the flight, after checking that no segment overlaps it."""
     health = audit(FlightData.of(flight))
     assert [stretch.code for stretch in health.stretches] == [code]

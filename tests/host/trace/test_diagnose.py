@@ -29,7 +29,7 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     nothing = refit(form, data, (), None, iterations=2)
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
     white = evidence.whitened(fit.lin, fit.process, library.prior)
-    step, covariance = evidence.bounded(
+    step, covariance = evidence.bounded_step(
         white.gram, fit.lin.theta_scaled, library.prior.precision(fit.effects), library.bounds
     )
     assert (np.abs(step) / np.sqrt(np.diag(covariance))).max() > 1.0
@@ -37,5 +37,5 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
 
     again = at_parameters(form, nothing, fit.effects, fit.theta_scaled, fit.covariance, 0.0)
     white = evidence.whitened(again.lin, again.process, library.prior)
-    moved = evidence.local_step(again.lin, white, library.prior, np.zeros(len(step)))
-    np.testing.assert_allclose(again.local, again.lin.local + moved)
+    moved = evidence.nuisance_step(again.lin, white, library.prior, np.zeros(len(step)))
+    np.testing.assert_allclose(again.nuisances, again.lin.nuisances + moved)

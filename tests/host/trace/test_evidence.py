@@ -10,12 +10,14 @@ from scipy.optimize import minimize
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import Linearisation, Prior, Process
+from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation, Prior
 
 BINS, P, K, ROWS = 2, 3, 2, 40
-PROCESS = Process(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
+PROCESS = DisturbanceVariances(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
 FREE = (np.full(3, -np.inf), np.full(3, np.inf))
-PRIOR = Prior(groups={"a": (0, 1), "b": (2,)}, spike=np.array([0.1, 0.2, 0.05]), local=np.array([0.5, 1.5]))
+PRIOR = Prior(
+    groups={"a": (0, 1), "b": (2,)}, spike=np.array([0.1, 0.2, 0.05]), nuisance_sigma=np.array([0.5, 1.5])
+)
 
 
 @dataclass
@@ -39,10 +41,15 @@ def dense() -> Dense:
     Z = 0.3 * rng.normal(size=(count, ROWS, 6 * BINS))
     A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
     flight = np.array([0, 0, 1, 1])
-    theta_scaled, local = np.array([0.3, -0.2, 0.1]), rng.normal(size=(2, K))
+    theta_scaled, nuisances = np.array([0.3, -0.2, 0.1]), rng.normal(size=(2, K))
     gram = np.swapaxes(A, 1, 2) @ A
     return Dense(
-        r, S, L, Z, flight, Linearisation(gram=gram, flight=flight, theta_scaled=theta_scaled, local=local)
+        r,
+        S,
+        L,
+        Z,
+        flight,
+        Linearisation(gram=gram, flight=flight, theta_scaled=theta_scaled, nuisances=nuisances),
     )
 
 
@@ -57,7 +64,7 @@ def stacked(d: Dense) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         covariance[rows, rows] = np.eye(ROWS) + d.Z[i] @ q @ d.Z[i].T
         J[rows, :P] = d.S[i]
         J[rows, P + K * f : P + K * (f + 1)] = d.L[i]
-    at = np.concatenate([d.lin.theta_scaled, d.lin.local.ravel()])
+    at = np.concatenate([d.lin.theta_scaled, d.lin.nuisances.ravel()])
     return d.r.ravel(), J, covariance, at
 
 
@@ -67,7 +74,7 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
 ) -> None:
     r, J, covariance, at = stacked(dense)
     precision = PRIOR.precision(chosen)
-    spread = np.concatenate([1.0 / precision, np.tile(PRIOR.local**2, 2)])
+    spread = np.concatenate([1.0 / precision, np.tile(PRIOR.nuisance_sigma**2, 2)])
     # y = J (theta - at) + noise + r's zero point: marginally N(-J at, C + J V J').
     total = covariance + (J * spread) @ J.T
     error = r + J @ at
@@ -82,23 +89,23 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
     r, J, covariance, at = stacked(dense)
     precision = PRIOR.precision(("a",))
-    ridge = np.concatenate([precision, np.tile(1.0 / PRIOR.local**2, 2)])
+    ridge = np.concatenate([precision, np.tile(1.0 / PRIOR.nuisance_sigma**2, 2)])
     inner = J.T @ np.linalg.solve(covariance, J) + np.diag(ridge)
     expected = np.linalg.solve(inner, J.T @ np.linalg.solve(covariance, r) - ridge * at)
     white = evidence.whitened(dense.lin, PROCESS, PRIOR)
     step, spread = evidence.posterior(white.gram, dense.lin.theta_scaled, precision)
-    local = evidence.local_step(dense.lin, white, PRIOR, step)
+    nuisances = evidence.nuisance_step(dense.lin, white, PRIOR, step)
     np.testing.assert_allclose(step, expected[:P], atol=1e-9)
-    np.testing.assert_allclose(local.ravel(), expected[P:], atol=1e-9)
+    np.testing.assert_allclose(nuisances.ravel(), expected[P:], atol=1e-9)
     np.testing.assert_allclose(spread, np.linalg.inv(inner)[:P, :P], atol=1e-10)
 
 
 def test_disturbances_are_the_best_linear_prediction(dense: Dense) -> None:
     q = PROCESS.covariance(BINS)
-    step, local = np.array([0.1, -0.3, 0.2]), np.array([[0.2, -0.1], [0.0, 0.4]])
-    estimate = evidence.disturbances(dense.lin, PROCESS, step, local)
+    step, nuisances = np.array([0.1, -0.3, 0.2]), np.array([[0.2, -0.1], [0.0, 0.4]])
+    estimate = evidence.disturbances(dense.lin, PROCESS, step, nuisances)
     for i, f in enumerate(dense.flight):
-        rest = dense.r[i] - dense.S[i] @ step - dense.L[i] @ local[f]
+        rest = dense.r[i] - dense.S[i] @ step - dense.L[i] @ nuisances[f]
         total = np.eye(ROWS) + dense.Z[i] @ q @ dense.Z[i].T
         expected = q @ dense.Z[i].T @ np.linalg.solve(total, rest)
         np.testing.assert_allclose(estimate[i].ravel(), expected, atol=1e-9)
@@ -124,7 +131,7 @@ def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> Non
     point = np.array([PROCESS.log_lateral, PROCESS.log_axial, PROCESS.log_torque])
 
     def value(logs: np.ndarray) -> float:
-        process = Process(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
+        process = DisturbanceVariances(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
         white = evidence.whitened(dense.lin, process, PRIOR)
         return evidence.log_evidence(white.gram, white.log_det, dense.lin.theta_scaled, precision, 0, FREE)
 
@@ -135,7 +142,10 @@ def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> Non
 
 def test_fit_process_recovers_the_true_variances() -> None:
     rng = np.random.default_rng(11)
-    count, truth = 60, Process(log_lateral=np.log(0.4), log_axial=np.log(0.05), log_torque=np.log(3.0))
+    count, truth = (
+        60,
+        DisturbanceVariances(log_lateral=np.log(0.4), log_axial=np.log(0.05), log_torque=np.log(3.0)),
+    )
     root = np.linalg.cholesky(truth.covariance(BINS))
     Z = rng.normal(size=(count, ROWS, 6 * BINS))
     w = rng.normal(size=(count, 6 * BINS)) @ root.T
@@ -146,9 +156,9 @@ def test_fit_process_recovers_the_true_variances() -> None:
         gram=np.swapaxes(A, 1, 2) @ A,
         flight=np.zeros(count, dtype=int),
         theta_scaled=np.zeros(P),
-        local=np.zeros((1, K)),
+        nuisances=np.zeros((1, K)),
     )
-    start = Process(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
+    start = DisturbanceVariances(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
     process = evidence.fit_process(lin, PRIOR, (), start)
     assert process.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
     assert process.log_axial == pytest.approx(truth.log_axial, abs=0.6)
@@ -179,7 +189,7 @@ def test_bounded_step_lets_other_parameters_compensate_a_bound() -> None:
     push = np.array([1.0, -1.0, -1.0])
     gram = 1e4 * np.outer(push, push)
     limits = np.array([0.0, -5.0]), np.array([5.0, 5.0])
-    step, _ = evidence.bounded(gram, np.zeros(2), np.array([1.0, 1.0]), limits)
+    step, _ = evidence.bounded_step(gram, np.zeros(2), np.array([1.0, 1.0]), limits)
     assert step == pytest.approx([0.0, -1.0], abs=1e-3)
     free, _ = evidence.posterior(gram, np.zeros(2), np.array([1.0, 1.0]))
     assert free == pytest.approx([-0.5, -0.5], abs=1e-3)

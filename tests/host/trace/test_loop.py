@@ -11,7 +11,7 @@ from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import tracking_shortfall
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.loop import tracking_extent
+from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
 from trimtab.host.trace.sentences import sentence
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
@@ -22,7 +22,7 @@ MIN_S, HOVER_M = RULES.flight_fit_min_s, RULES.hover_extent_m
 
 def shortfall_of(flights: list[Flight]) -> Finding | None:
     """Return why these flights cannot be fitted whole."""
-    return tracking_shortfall(*tracking_extent([FlightData.of(each) for each in flights]))
+    return tracking_shortfall(*tracking_time_and_extent([FlightData.of(each) for each in flights]))
 
 
 def code_of(finding: Finding | None) -> Code | None:
@@ -41,7 +41,7 @@ def code_of(finding: Finding | None) -> Code | None:
 )
 def test_shortfall_counts_the_tracking_time_of_all_flights(tracked_s: tuple[float, ...], short: bool) -> None:
     flights = [build_flight(str(k), tracked_s=each) for k, each in enumerate(tracked_s)]
-    assert tracking_extent([FlightData.of(each) for each in flights])[0] == pytest.approx(
+    assert tracking_time_and_extent([FlightData.of(each) for each in flights])[0] == pytest.approx(
         sum(tracked_s), abs=1e-6
     )
     assert code_of(shortfall_of(flights)) == (Code.TRACKING_TOO_SHORT if short else None)
@@ -60,13 +60,15 @@ def test_shortfall_counts_the_tracking_time_of_all_flights(tracked_s: tuple[floa
 )
 def test_shortfall_is_a_hover_if_no_flight_moves(extents_m: tuple[float, ...], hovered: bool) -> None:
     flights = [build_flight(str(k), tracked_s=20.0, extent_m=each) for k, each in enumerate(extents_m)]
-    assert tracking_extent([FlightData.of(each) for each in flights])[1] == pytest.approx(max(extents_m))
+    assert tracking_time_and_extent([FlightData.of(each) for each in flights])[1] == pytest.approx(
+        max(extents_m)
+    )
     assert code_of(shortfall_of(flights)) == (Code.HOVER_ONLY if hovered else None)
 
 
 def test_tracking_extent_counts_only_motion_while_tracked() -> None:
     flights = [build_flight(tracked_s=20.0, extent_m=0.1, elsewhere_m=5.0)]
-    assert tracking_extent([FlightData.of(each) for each in flights]) == pytest.approx((20.0, 0.1))
+    assert tracking_time_and_extent([FlightData.of(each) for each in flights]) == pytest.approx((20.0, 0.1))
     assert code_of(shortfall_of(flights)) is Code.HOVER_ONLY
 
 

@@ -37,8 +37,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "flight_fit/fit.py": {
         "LOOP_SETTLED": "step at which the Gauss-Newton iteration ends",
         "_ITERATIONS": "number of Gauss-Newton iterations",
-        "_PASSES": "number of passes of the weighted fit",
-        "_SETTLED_WELL": "step at which the weighted fit ends",
+        "_MAX_REFITS": "number of linearisations of a fit with a given whitening",
+        "_REFIT_SETTLED": "step at which that fit ends",
         "_LINE": "step lengths of the line search",
     },
     "flight_fit/loop.py": {
@@ -57,13 +57,15 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "CHANNELS": "size of a bin's residual",
         "WINDOWS": "basis of the autoregression",
     },
+    "next_flight/information.py": {
+        "_ROLLED": "number of segments of a manoeuvre that are rolled out",
+        "_TURNS": "number of iterations that keep a manoeuvre on its path",
+    },
     "next_flight/manoeuvres.py": {
         "PACES": "grid of paces that are tried",
     },
     "next_flight/separation.py": {
         "SIGMA_MAX": "greatest separation that a linearisation can mean; greater ones are clipped",
-        "_ROLLED": "number of segments of a manoeuvre that are rolled out",
-        "_TURNS": "number of iterations that keep a manoeuvre on its path",
     },
     "prediction.py": {
         "_LEAD_S": "time in which a segment's start settles",
@@ -104,13 +106,13 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_LANES": "number of roll-outs in one call",
         "_X_STEP": "step of the difference quotients",
         "TURN_STEPS": "steps of the difference quotient for a body rate",
-        "_LOCAL_STEP": "step of the difference quotients",
+        "_NUISANCE_STEP": "step of the difference quotients",
         "_BIN_STEP": "step of the difference quotients",
         "_THETA_STEP": "step of the difference quotients",
     },
     "segment_fit/model.py": {
         "STATES": "size of the state",
-        "LOCALS": "number of a flight's nuisances",
+        "NUISANCES": "number of a flight's nuisances",
         "CHANNELS": "size of a prediction",
         "_STEP_INPUTS": "sizes of the inputs of the compiled step",
         "_THRUST_ROUNDS": "number of fixed-point iterations",

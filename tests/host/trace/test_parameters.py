@@ -73,7 +73,7 @@ def test_space_admits_one_rotor_lost_of_four() -> None:
 
 def test_space_frees_what_a_log_declares_unknown() -> None:
     parameter_space = space(VEHICLE, EFFECTS, ["inertia", "pose-latency"])
-    assert {"inertia", "mocap-latency"} <= set(parameter_space.unknown)
+    assert {"inertia", "mocap-latency"} <= set(parameter_space.freed)
     index = parameter_space.owners["mocap-latency"][0]
     assert parameter_space.columns[index].tolerance == 0.02
     assert "mocap-latency" not in parameter_space.candidates

@@ -18,7 +18,7 @@ from trimtab.host.trace.flight_fit import fit as refine
 from trimtab.host.trace.flight_fit import loop as closed
 from trimtab.host.trace.flight_fit import recording as recordings
 from trimtab.host.trace.flight_fit import whitening
-from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.whitening import CHANNELS
 from trimtab.host.trace.parameters import ParameterSpace, space
 
@@ -36,7 +36,7 @@ def library() -> ParameterSpace:
 
 
 @pytest.fixture(scope="module")
-def loop(library: ParameterSpace) -> Loop:
+def loop(library: ParameterSpace) -> ClosedLoop:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
     return closed.closed_loop(
         [FlightData.of(each) for each in flights], flights[0].vehicle, library, np.zeros(len(library.columns))
@@ -61,14 +61,14 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
     return noise[50:]
 
 
-def simulated(loop: Loop, theta_scaled: np.ndarray, seed: int) -> Loop:
+def simulated(loop: ClosedLoop, theta_scaled: np.ndarray, seed: int) -> ClosedLoop:
     """Return a loop whose recordings are predictions of phi plus coloured noise."""
     rng = np.random.default_rng(seed)
     recordings = [
         replace(recording, measured=predicted[0] + coloured(rng, recording.bins))
         for recording, predicted in zip(loop.recordings, loop.predicted(theta_scaled[:, None]), strict=True)
     ]
-    return Loop(recordings, loop.recordings[0].states.vehicle, loop.space)
+    return ClosedLoop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
 
 def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace) -> None:
@@ -76,14 +76,14 @@ def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
     start = scaled(library, mocap_latency__latency_s=0.018, motor_lag__extra_s=0.012, thrust_gain__gain=0.95)
     whole = closed.closed_loop([FlightData.of(each) for each in flights], flights[0].vehicle, library, start)
-    fit = refine.fit_loop(whole, PRESENT, start, closed.order_of(whole))
+    fit = refine.fit_closed_loop(whole, PRESENT, start, closed.order_of(whole))
     values, sd = library.values(fit.theta_scaled), np.sqrt(np.diag(fit.covariance)) * library.scale
     for i, column in enumerate(library.columns):
         if column.owner in truth:
             error = abs(values[i] - truth[column.owner][column.key])
             assert error < 3.0 * sd[i], column
             assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
-    without = refine.fit_loop(whole, PRESENT[::2], start, fit.whitening.order)
+    without = refine.fit_closed_loop(whole, PRESENT[::2], start, fit.whitening.order)
     (score,) = refine.FlightFitter(loop=whole, order=fit.whitening.order).scorers(without)
     # The scores are only hints, since the whitening without motor-lag has absorbed a part of its effect.
     # Their ranking is right.
@@ -94,13 +94,13 @@ def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace
 
 
 def test_parameters_of_simulated_flights_lie_within_their_intervals(
-    library: ParameterSpace, loop: Loop
+    library: ParameterSpace, loop: ClosedLoop
 ) -> None:
     true = scaled(library, motor_lag__extra_s=0.01, linear_drag__dx=0.3, thrust_gain__gain=1.0)
     squares = []
     for seed in range(4):
         made = simulated(loop, true, seed)
-        fit = refine.fit_loop(made, ("linear-drag", "motor-lag"), np.zeros(len(true)), 2)
+        fit = refine.fit_closed_loop(made, ("linear-drag", "motor-lag"), np.zeros(len(true)), 2)
         deviation = (fit.theta_scaled - true) / np.sqrt(np.diag(fit.covariance))
         squares += [deviation[i] ** 2 for name in ("linear-drag", "motor-lag") for i in library.groups[name]]
         assert abs(fit.theta_scaled[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
@@ -108,13 +108,13 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(
     assert 0.2 < np.mean(squares) < 2.6
 
 
-def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: Loop) -> None:
+def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: ClosedLoop) -> None:
     """The cached zero slope of the line without a payload is updated once there is a payload."""
     effects = load_effects()
     vehicle = loop.recordings[0].states.vehicle
     library = space(vehicle, {name: effects[name] for name in ("slung-payload", "thrust-gain")})
     nowhere, there = scaled(library), scaled(library, slung_payload__ratio=0.05)
-    whole, afresh = (Loop(loop.recordings, vehicle, library) for _ in range(2))
+    whole, afresh = (ClosedLoop(loop.recordings, vehicle, library) for _ in range(2))
     base = [[r[0] for r in whole.residuals(theta_scaled[:, None])] for theta_scaled in (nowhere, there)]
     (line,) = (i for i, column in enumerate(library.columns) if column.key == "length_m")
     assert not whole.slopes(nowhere, (), base[0])[0][line].any()
@@ -123,16 +123,18 @@ def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: Loop) 
     np.testing.assert_allclose(whole.slopes(there, (), base[1])[0][line], wanted)
 
 
-def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: Loop) -> None:
+def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: ClosedLoop) -> None:
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     zero = np.zeros(len(library.columns))
-    fits = [refine.fit_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())]
+    fits = [
+        refine.fit_closed_loop(made, names, zero, 2) for names in (("quadratic-drag",), ("linear-drag",), ())
+    ]
     drag, linear, nothing = (fit.log_evidence for fit in fits)
     assert drag - linear > 5.0
     assert drag - nothing > 5.0
 
 
-def test_recording_predicts_what_telemetry_records_of_a_motion(loop: Loop) -> None:
+def test_recording_predicts_what_telemetry_records_of_a_motion(loop: ClosedLoop) -> None:
     """After six lost frames, the next mean covers their time too; the integral is known at its ends."""
     flight = read_flight(DATA / "a1.mcap")
     control = flight.control
@@ -180,9 +182,11 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     assert np.abs((innovations[1:] * innovations[:-1]).mean(0)).max() < 0.06
 
 
-def test_inflated_covariance_is_never_less_than_that_of_the_fit(library: ParameterSpace, loop: Loop) -> None:
-    fit = refine.fit_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
-    covariance = uncertainty.inflated_covariance(library, fit)
+def test_inflated_covariance_is_never_less_than_that_of_the_fit(
+    library: ParameterSpace, loop: ClosedLoop
+) -> None:
+    fit = refine.fit_closed_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
+    covariance = uncertainty.inflated_flight_covariance(library, fit)
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
     np.linalg.cholesky(covariance)
 

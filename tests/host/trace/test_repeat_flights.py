@@ -9,7 +9,7 @@ import pytest
 
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.decision.findings import Code
-from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
+from trimtab.host.trace.decision.residual_rules import no_effect_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual, unexplained_residual
 
@@ -55,7 +55,7 @@ def data(motion_hz: float = 0.0, each: int = SEGMENTS, turn_hz: float = 0.0) -> 
 
 def codes(residual: UnexplainedResidual) -> list[Code]:
     """Return the codes of the findings on a residual, by the bounds of the model without effects."""
-    return [finding.code for finding in residual_findings(residual, no_model_bounds(RULES), RULES)]
+    return [finding.code for finding in residual_findings(residual, no_effect_bounds(RULES), RULES)]
 
 
 def codes_beside(residual: UnexplainedResidual, without: UnexplainedResidual) -> list[Code]:
@@ -178,7 +178,7 @@ def test_effects_that_increase_the_repeatable_position_are_rejected(
 ) -> None:
     quiet = unexplained_residual(noise(1), data(), PAIRS)
     one, nothing = (
-        replace(quiet, flights=FlightRepeat(share=0.05, z_score=5.0, position_m=position))
+        replace(quiet, flight_repeat=FlightRepeat(share=0.05, z_score=5.0, position_m=position))
         for position in (with_m, without_m)
     )
     assert codes_beside(one, nothing) == ([Code.FLIGHTS_WORSENED] if speaks else [])

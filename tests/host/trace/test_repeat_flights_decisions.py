@@ -35,7 +35,7 @@ def test_lower_share_is_two_standard_errors_below_if_significant(
     repeat: FlightRepeat, lower_share: float, nats: float
 ) -> None:
     assert repeat.lower_share(RULES) == pytest.approx(lower_share, rel=1e-5)
-    assert repeat.log_evidence(RULES) == pytest.approx(nats, rel=1e-5)
+    assert repeat.attainable_nats(RULES) == pytest.approx(nats, rel=1e-5)
 
 
 def test_flight_repeat_uses_the_given_rules() -> None:
@@ -43,7 +43,7 @@ def test_flight_repeat_uses_the_given_rules() -> None:
         build_flight_repeat(share=0.5, z_score=4.0),
         replace(RULES, repeat_z=4.0),
     )
-    assert (repeat.lower_share(stricter), repeat.log_evidence(stricter)) == (0.0, 0.0)
+    assert (repeat.lower_share(stricter), repeat.attainable_nats(stricter)) == (0.0, 0.0)
 
 
 @pytest.mark.parametrize(("share", "amplitude"), [(-0.5, 0.0), (0.0, 0.0), (0.25, 0.5), (4.0, 2.0)])
@@ -103,7 +103,7 @@ def test_residual_shows_in_its_own_channel_and_not_along_an_unknown_thrust(
         assert (one.z_score > RULES.repeat_z) == (name == channel)
         assert (one.line.ratio > RULES.line_ratio) == (name == channel)
     assert unexplained.pairs == 1
-    assert unexplained.flights is None
+    assert unexplained.flight_repeat is None
 
 
 def test_residual_of_a_driven_rate_has_no_line_in_torque() -> None:

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 from trimtab.host.trace.decision.findings import Code
-from trimtab.host.trace.decision.residual_rules import no_model_bounds, residual_bounds, residual_findings
+from trimtab.host.trace.decision.residual_rules import no_effect_bounds, residual_bounds, residual_findings
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.loop import CHANNELS, Loop
+from trimtab.host.trace.flight_fit.loop import CHANNELS, ClosedLoop
 from trimtab.host.trace.flight_fit.repeatability import repeatability_of
 from trimtab.host.trace.residual.unexplained import (
     NO_LINE,
@@ -49,7 +49,7 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 
 
 def repeat_of(loop: ResidualsOnly) -> FlightRepeat:
-    result = repeatability_of(cast(Loop, loop), np.zeros(1), 2, REPEAT_FLIGHTS)
+    result = repeatability_of(cast(ClosedLoop, loop), np.zeros(1), 2, REPEAT_FLIGHTS)
     assert result is not None
     return result
 
@@ -74,9 +74,11 @@ def test_repeat_flights_of_different_length_are_compared_over_the_common_part():
 
 
 def test_repeatability_of_missing_or_short_repeat_flights_is_none():
-    assert repeatability_of(cast(Loop, ResidualsOnly(0)), np.zeros(1), 2, []) is None
+    assert repeatability_of(cast(ClosedLoop, ResidualsOnly(0)), np.zeros(1), 2, []) is None
     assert (
-        repeatability_of(cast(Loop, ResidualsOnly(0, bins=(70, 70) * 4)), np.zeros(1), 2, REPEAT_FLIGHTS)
+        repeatability_of(
+            cast(ClosedLoop, ResidualsOnly(0, bins=(70, 70) * 4)), np.zeros(1), 2, REPEAT_FLIGHTS
+        )
         is None
     )
 
@@ -85,13 +87,13 @@ def test_whole_flights_overrule_segments_in_both_directions():
     segments = by_segments(force=0.5)
     assert codes(segments) == [Code.FORCE_REPEATS]
     calm, moved = repeat_of(ResidualsOnly(4)), repeat_of(ResidualsOnly(4, 1.0))
-    assert codes(replace(segments, flights=calm)) == []
-    assert codes(replace(segments, flights=moved)) == [Code.FLIGHTS_REPEAT, Code.FORCE_REPEATS]
+    assert codes(replace(segments, flight_repeat=calm)) == []
+    assert codes(replace(segments, flight_repeat=moved)) == [Code.FLIGHTS_REPEAT, Code.FORCE_REPEATS]
 
 
 def test_a_small_part_of_the_explained_residual_may_repeat():
-    calm_flights = replace(by_segments(force=0.0), flights=repeat_of(ResidualsOnly(4, 0.7)))
-    missing = replace(by_segments(force=1.0), flights=repeat_of(ResidualsOnly(4, 7.0)))
+    calm_flights = replace(by_segments(force=0.0), flight_repeat=repeat_of(ResidualsOnly(4, 0.7)))
+    missing = replace(by_segments(force=1.0), flight_repeat=repeat_of(ResidualsOnly(4, 7.0)))
     assert codes(calm_flights)
     bounds = residual_bounds(missing, has_memory=False, rules=RULES)
     assert residual_findings(calm_flights, bounds, RULES) == []
@@ -107,4 +109,4 @@ def by_segments(force: float) -> UnexplainedResidual:
 
 
 def codes(residual: UnexplainedResidual) -> list[Code]:
-    return [finding.code for finding in residual_findings(residual, no_model_bounds(RULES), RULES)]
+    return [finding.code for finding in residual_findings(residual, no_effect_bounds(RULES), RULES)]

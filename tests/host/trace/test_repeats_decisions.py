@@ -12,9 +12,9 @@ from tests.host.trace.builders import build_closed_fit
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit import repeatability as module
 from trimtab.host.trace.flight_fit.fit import FlightFit
-from trimtab.host.trace.flight_fit.loop import Loop
+from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
-from trimtab.host.trace.flight_fit.repeatability import in_turbulence, turbulence
+from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, turbulence
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
@@ -44,8 +44,8 @@ class ResidualsOnly:
         return [each[None] for each in self.flight_residuals]
 
 
-def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> Loop:
-    return cast(Loop, ResidualsOnly(bins, physics))
+def loop_of(bins: Sequence[int] = (LONG, LONG), physics: float = 0.0) -> ClosedLoop:
+    return cast(ClosedLoop, ResidualsOnly(bins, physics))
 
 
 @pytest.fixture
@@ -53,15 +53,15 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
     """Replace the weighted fit by AGAIN; return the whitenings of its calls."""
     used: list[Whitening] = []
 
-    def weighted(
-        loop: Loop, white: Whitening, effects: Sequence[str], theta_scaled: np.ndarray
+    def fit_with_whitening(
+        loop: ClosedLoop, white: Whitening, effects: Sequence[str], theta_scaled: np.ndarray
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         assert tuple(effects) == FIT.effects
         np.testing.assert_array_equal(theta_scaled, FIT.theta_scaled)
         used.append(white)
         return AGAIN
 
-    monkeypatch.setattr(module, "weighted", weighted)
+    monkeypatch.setattr(module, "fit_with_whitening", fit_with_whitening)
     return used
 
 
@@ -95,7 +95,7 @@ def is_tempered(fit: FlightFit) -> bool:
 def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     bins: tuple[int, ...], repeat_flights: list[tuple[int, int]], compared: bool, whitenings: list[Whitening]
 ) -> None:
-    refitted = in_turbulence(loop_of(bins), FIT, 1, repeat_flights)
+    refitted = refit_with_turbulence_whitening(loop_of(bins), FIT, 1, repeat_flights)
     assert len(whitenings) == compared
     if not compared:
         assert is_tempered(refitted)
@@ -114,13 +114,13 @@ def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings:
     loop = ResidualsOnly()
     loop.known[0][: LONG // 2] = False
     loop.known[1][LONG // 2 :] = False
-    assert is_tempered(in_turbulence(cast(Loop, loop), FIT, 1, REPEAT_FLIGHTS))
+    assert is_tempered(refit_with_turbulence_whitening(cast(ClosedLoop, loop), FIT, 1, REPEAT_FLIGHTS))
     assert whitenings == []
 
 
 def test_in_turbulence_whitens_by_differences_of_repeat_flights(whitenings: list[Whitening]) -> None:
     for physics in (0.0, 5.0):
-        in_turbulence(loop_of(physics=physics), FIT, 1, REPEAT_FLIGHTS)
+        refit_with_turbulence_whitening(loop_of(physics=physics), FIT, 1, REPEAT_FLIGHTS)
     calm, moved = whitenings
     np.testing.assert_allclose(moved.coefficients, calm.coefficients, atol=1e-9)
     np.testing.assert_allclose(moved.innovation, calm.innovation, atol=1e-9)

@@ -14,7 +14,7 @@ from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import read_logs
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.alternatives import with_each_other
-from trimtab.host.trace.decision.decide import better_but_inadmissible, segment_disagreement
+from trimtab.host.trace.decision.decide import better_but_unsupported, segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.gathering import segment_disagreement_nats
@@ -98,15 +98,15 @@ def test_known_aliases_selected_together_are_aliases_of_each_other() -> None:
     assert aliases["motor-lag"] == {}
 
 
-def test_a_much_better_but_inadmissible_set_is_reported() -> None:
+def test_a_much_better_but_unsupported_set_is_reported() -> None:
     sets = {(): 0.0, ("linear-drag",): 5.0, ("linear-drag", "thrust-inflow"): 20.0}
-    (finding,) = better_but_inadmissible(sets, {(): 0.01, ("linear-drag",): 1.0}, RULES)
+    (finding,) = better_but_unsupported(sets, {(): 0.01, ("linear-drag",): 1.0}, RULES)
     assert finding.code is Code.BETTER_BUT_INADMISSIBLE
     assert finding.subject == ("linear-drag", "thrust-inflow")
     assert finding.value == 15.0
     close = {**sets, ("linear-drag", "thrust-inflow"): 7.0}
-    assert better_but_inadmissible(close, {("linear-drag",): 1.0}, RULES) == []
-    assert better_but_inadmissible(sets, dict.fromkeys(sets, 1.0), RULES) == []
+    assert better_but_unsupported(close, {("linear-drag",): 1.0}, RULES) == []
+    assert better_but_unsupported(sets, dict.fromkeys(sets, 1.0), RULES) == []
 
 
 def test_segments_disagree_with_an_absent_effect() -> None:

@@ -35,13 +35,13 @@ from trimtab.host.trace.decision.decide import segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
-from trimtab.host.trace.gathering import gather_evidence, segment_disagreement_nats
+from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
 from trimtab.host.trace.search import Names, SearchResult
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.selection import Method, is_judged, without_form_faults
+from trimtab.host.trace.selection import Method, selected_set_is_judged, without_payload_artefacts
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 TIE_NATS, FAULT = RULES.tie_nats, RULES.memory_fault_share
@@ -238,7 +238,7 @@ def test_selected_set_is_judged_unless_it_is_empty_and_improbable(
         if kind == "search"
         else build_diagnosis(effects, posterior_weights=weights)
     )
-    assert is_judged(outcome) == judged
+    assert selected_set_is_judged(outcome) == judged
 
 
 class KnownLoopFitter:
@@ -270,13 +270,13 @@ def without_faults(
         selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
     )
     fitter = KnownLoopFitter(SWINGING)
-    return without_form_faults(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
+    return without_payload_artefacts(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> FlightRepeat:
     """Return a repeatable residual of whole flights that is worth this many nats."""
     made = build_flight_repeat(share=value / 500.0, z_score=100.0, size=1000)
-    assert made.log_evidence(RULES) == pytest.approx(value)
+    assert made.attainable_nats(RULES) == pytest.approx(value)
     return made
 
 
@@ -295,7 +295,7 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
         pytest.param(FAULT * 400.0 * ABOVE, nats(400.0), False, id="repeats-much-just-beyond"),
     ],
 )
-def test_without_form_faults_drops_effects_that_explain_little_beside_a_swing(
+def test_without_payload_artefacts_drops_effects_that_explain_little_beside_a_swing(
     monkeypatch: pytest.MonkeyPatch, gap: float, residual: FlightRepeat | None, reduced: bool
 ) -> None:
     outcome = build_search_result(
@@ -314,7 +314,9 @@ def test_without_form_faults_drops_effects_that_explain_little_beside_a_swing(
         assert fitter.calls == []
 
 
-def test_without_form_faults_of_a_set_without_swing_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_payload_artefacts_of_a_set_without_swing_is_unchanged(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
     best = build_closed_fit(("drag", "gain"), log_evidence=100.0)
     outcome = build_search_result(best, log_evidence={best.effects: 100.0, ("drag",): 100.0})
     reduced_result, fitter = without_faults(monkeypatch, outcome, nats(1e6))
@@ -322,12 +324,12 @@ def test_without_form_faults_of_a_set_without_swing_is_unchanged(monkeypatch: py
     assert fitter.calls == []
 
 
-def test_without_form_faults_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_payload_artefacts_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
     assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
 
 
-def test_without_form_faults_does_not_take_another_set_of_the_same_size(
+def test_without_payload_artefacts_does_not_take_another_set_of_the_same_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
@@ -508,8 +510,8 @@ ASKED = {"drag": 1.5}
 
 
 @pytest.fixture
-def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
-    """Return a function that gathers the evidence of a diagnosis whose residuals are known without a fit."""
+def inputs_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
+    """Return a function that gathers the inputs of a diagnosis whose residuals are known without a fit."""
 
     def residual(w: str, data: Any, repeat_flights: Sequence[Any], *, axial: bool) -> UnexplainedResidual:
         lines = {"selected": 1.0, "nothing": 2.0}
@@ -539,7 +541,7 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_evidence(segment_model, diagnosis, repeat_flights, unknown, 12.0, 1.5)
+        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, 12.0, 1.5)
 
     return gather
 
@@ -555,44 +557,44 @@ def evidence_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     ],
 )
 def test_evidence_compares_segments_only_for_flight_fits_without_repeats(
-    evidence_of: Any, selected: Names, method: Method, repeat_flights: Any, asked: bool
+    inputs_of: Any, selected: Names, method: Method, repeat_flights: Any, asked: bool
 ) -> None:
-    evidence = evidence_of(selected, method=method, repeat_flights=repeat_flights)
-    assert evidence.segment_disagreement_nats == (ASKED if asked else {})
-    assert evidence.by_segments == (method == "segments")
-    assert evidence.has_repeats == bool(repeat_flights)
+    inputs = inputs_of(selected, method=method, repeat_flights=repeat_flights)
+    assert inputs.segment_disagreement_nats == (ASKED if asked else {})
+    assert inputs.by_segments == (method == "segments")
+    assert inputs.has_repeats == bool(repeat_flights)
 
 
-def test_evidence_holds_the_diagnosis_and_both_residuals(evidence_of: Any) -> None:
+def test_inputs_hold_the_diagnosis_and_both_residuals(inputs_of: Any) -> None:
     best = build_fit(("drag",), lateral=0.2, axial=0.3, angular=0.4)
-    evidence = evidence_of(("drag",), repeat_flights=[(0, 1), (2, 3)], best=best)
-    assert evidence.selected == ("drag",)
-    assert evidence.null_probability == 0.0
-    assert evidence.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
-    assert evidence.inclusion_probability == {"drag": 0.7}
-    assert evidence.detectability == {"lag": 2.0}
-    assert (evidence.tracking_s, evidence.extent_m) == (12.0, 1.5)
-    assert evidence.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
-    assert (evidence.residual.flights, evidence.residual_without.flights) == (AFTER, BEFORE)
-    assert (evidence.residual.force.repeat, evidence.residual_without.force.repeat) == (11.0, 12.0)
-    assert (evidence.residual.pairs, evidence.residual_without.pairs) == (2, 2)
+    inputs = inputs_of(("drag",), repeat_flights=[(0, 1), (2, 3)], best=best)
+    assert inputs.selected == ("drag",)
+    assert inputs.null_probability == 0.0
+    assert inputs.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
+    assert inputs.inclusion_probability == {"drag": 0.7}
+    assert inputs.detectability == {"lag": 2.0}
+    assert (inputs.tracking_s, inputs.extent_m) == (12.0, 1.5)
+    assert inputs.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
+    assert (inputs.residual.flight_repeat, inputs.residual_without.flight_repeat) == (AFTER, BEFORE)
+    assert (inputs.residual.force.repeat, inputs.residual_without.force.repeat) == (11.0, 12.0)
+    assert (inputs.residual.pairs, inputs.residual_without.pairs) == (2, 2)
 
 
 @pytest.mark.parametrize(
     ("unknown", "known"), [(frozenset(), True), (frozenset({"thrust"}), False), (frozenset({"torque"}), True)]
 )
 def test_evidence_without_a_known_thrust_leaves_out_the_axial_force(
-    evidence_of: Any, unknown: frozenset[str], known: bool
+    inputs_of: Any, unknown: frozenset[str], known: bool
 ) -> None:
-    evidence = evidence_of(unknown=unknown)
-    assert evidence.thrust_known == known
-    assert (evidence.residual.force.repeat, evidence.residual_without.force.repeat) == (
+    inputs = inputs_of(unknown=unknown)
+    assert inputs.thrust_known == known
+    assert (inputs.residual.force.repeat, inputs.residual_without.force.repeat) == (
         (11.0, 12.0) if known else (1.0, 2.0)
     )
 
 
 @pytest.mark.parametrize("rate_driven", [False, True])
 def test_evidence_states_whether_the_measured_rate_drives_the_attitude(
-    evidence_of: Any, rate_driven: bool
+    inputs_of: Any, rate_driven: bool
 ) -> None:
-    assert evidence_of(best=build_fit(("drag",), rate_driven=rate_driven)).rate_driven == rate_driven
+    assert inputs_of(best=build_fit(("drag",), rate_driven=rate_driven)).rate_driven == rate_driven

@@ -53,7 +53,7 @@ class KnownFitter:
     def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
         return [lambda names: self.believed[names]]
 
-    def beyond(self, fit: Known) -> list[Names]:
+    def underrated_extensions(self, fit: Known) -> list[Names]:
         return [names for names in self.hidden if set(fit.effects) < set(names)]
 
 
@@ -91,7 +91,7 @@ def test_search_drops_a_set_that_the_linearisation_overrates(library: ParameterS
 
 
 def test_search_selects_no_effect_if_all_sets_are_at_their_bounds(monkeypatch) -> None:
-    """Thousands of nats for inadmissible sets must not make the posterior weights 0/0."""
+    """Thousands of nats for unsupported sets must not make the posterior weights 0/0."""
     monkeypatch.setattr(module, "RULES", replace(RULES, max_effects=1))
     effects = load_effects()
     third, every = ("motor-lag",), ("motor-lag", *DRAG, *GAIN)

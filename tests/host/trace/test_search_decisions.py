@@ -47,7 +47,7 @@ class PriorOnly:
 
     @property
     def prior(self) -> Prior:
-        return Prior(groups=self.space.groups, spike=np.array(self.spike), local=np.ones(1))
+        return Prior(groups=self.space.groups, spike=np.array(self.spike), nuisance_sigma=np.ones(1))
 
 
 def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> Fitter[Any]:
@@ -88,7 +88,7 @@ def test_most_parsimonious_of_equal_size_is_the_most_probable(
     assert most_parsimonious(build_search_result(BEST, log_evidence=sets), TIE_NATS) == expected
 
 
-def test_most_parsimonious_considers_only_admissible_sets() -> None:
+def test_most_parsimonious_considers_only_supported_sets() -> None:
     sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
     weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
     assert most_parsimonious(

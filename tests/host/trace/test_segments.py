@@ -51,7 +51,7 @@ def make(command: np.ndarray, x0: np.ndarray) -> Segments:
 
 
 def lanes(data: Segments, theta_scaled: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    return data.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.LOCALS, 1, len(data.flight)))
+    return data.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.NUISANCES, 1, len(data.flight)))
 
 
 def test_roll_out_of_hover_at_a_velocity_moves_straight_on() -> None:
@@ -94,12 +94,12 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     command = HOVER * (1.0 + 0.02 * rng.normal(size=(2, PRE + STEPS, 4)))
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
-    local = np.zeros((1, model.LOCALS))
-    basis = linearise.basis(FORM, data, theta_scaled, local)
+    nuisances = np.zeros((1, model.NUISANCES))
+    basis = linearise.basis(FORM, data, theta_scaled, nuisances)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
-        lane = (at.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.LOCALS, 1, 2)))
+        lane = (at.x0.T[:, None, :], theta_scaled[:, None], np.zeros((model.NUISANCES, 1, 2)))
         return rollout.residuals(at, rollout.roll_out(FORM, at, *lane))[0]
 
     h = 1e-4
@@ -119,7 +119,7 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     rng = np.random.default_rng(8)
     truth = 0.2 * rng.normal(size=(3, 12))
     data = make(np.full((3, PRE + STEPS, 4), HOVER), truth)
-    theta_scaled, local = np.zeros(len(SPACE.columns)), np.zeros((1, model.LOCALS))
+    theta_scaled, nuisances = np.zeros(len(SPACE.columns)), np.zeros((1, model.NUISANCES))
     attitude, predicted_poses = data.R_ned_frd, np.zeros((0, 0, 12))
     for _ in range(4):  # the predicted attitude is told as what the measured one must turn by
         rolled = rollout.roll_out(FORM, replace(data, R_ned_frd=attitude), *lanes(data, theta_scaled))
@@ -134,8 +134,8 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
         rate_frd=predicted_poses[..., 6:9],
         force_frd=predicted_poses[..., 9:],
     )
-    basis = linearise.basis(FORM, measured, theta_scaled, local)
-    x0 = linearise.fitted_x0(FORM, measured, theta_scaled, local, basis, iterations=5)
+    basis = linearise.basis(FORM, measured, theta_scaled, nuisances)
+    x0 = linearise.fitted_x0(FORM, measured, theta_scaled, nuisances, basis, iterations=5)
     np.testing.assert_allclose(x0, truth, atol=1e-6)
 
 
@@ -188,7 +188,7 @@ def test_measured_turn_recovers_a_constant_torque_from_the_gyro() -> None:
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
     rate = np.zeros((1, STEPS, 3))
     rate[0, :, 1] = ramp
-    w = linearise.measured_turn(FORM, replace(data, rate_frd=rate))
+    w = linearise.disturbance_from_measured_rotation(FORM, replace(data, rate_frd=rate))
     np.testing.assert_allclose(w[0, :, 4], 3.0, atol=1e-9)
     np.testing.assert_allclose(w[0, :, [0, 1, 2]], 0.0)
 
@@ -201,7 +201,7 @@ def test_measured_turn_without_a_gyro_recovers_the_torque_from_the_poses() -> No
     pose_weight[0, 23:26] = 0.0
     turned[0, 23:26] = 0.0
     deaf = replace(data, R_ned_frd=turned, pose_weight=pose_weight, rate_weight=np.zeros((1, STEPS)))
-    w = linearise.measured_turn(FORM, deaf)
+    w = linearise.disturbance_from_measured_rotation(FORM, deaf)
     np.testing.assert_allclose(w[0, 1:5, 4], 3.0, atol=1e-6)
     np.testing.assert_allclose(w[0, [0, 5], 4], 3.0, atol=1.2)  # no pose lies beyond a segment's ends
     np.testing.assert_allclose(w[0, :, [0, 1, 2, 3, 5]], 0.0, atol=1e-9)

@@ -17,14 +17,9 @@ from trimtab.host.trace import words
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.next_flight.information import Instruments, information
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
-from trimtab.host.trace.next_flight.separation import (
-    Instruments,
-    NextFlight,
-    information,
-    propose,
-    separation,
-)
+from trimtab.host.trace.next_flight.separation import NextFlight, propose, separation
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.segment_fit.fit import SegmentFit, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel

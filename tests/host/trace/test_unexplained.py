@@ -16,7 +16,7 @@ from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.residual import network as module
 from trimtab.host.trace.residual.description import describe
-from trimtab.host.trace.residual.network import unexplained
+from trimtab.host.trace.residual.network import train_network
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -30,7 +30,7 @@ def test_network_on_the_residual_predicts_and_names_no_cause(monkeypatch: pytest
     description = describe(np.zeros((len(data.flight), data.bins, 6)), data, ("a", "a"), vehicle)
     model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
     messages: list[str] = []
-    outcome = unexplained(flights, held_out, model, load_effects(), description, messages.append)
+    outcome = train_network(flights, held_out, model, load_effects(), description, messages.append)
     assert outcome is not None
     assert outcome.model is not None
     assert outcome.model.network is not None
@@ -41,10 +41,10 @@ def test_network_on_the_residual_predicts_and_names_no_cause(monkeypatch: pytest
     assert outcome.to_json("x.model.toml")["model"] == "x.model.toml"
     assert messages[-1] == "network: epoch 12 of at most 12"
     monkeypatch.setattr(module, "SETTINGS", {"hidden": (1,), "epochs": 1, "rate": 1e-12})
-    outcome = unexplained(flights, held_out, model, load_effects(), description)
+    outcome = train_network(flights, held_out, model, load_effects(), description)
     assert outcome is not None
     assert outcome.model is None
     assert "it is not kept" in words.network(outcome)
-    assert unexplained(flights, [], model, load_effects(), description) is None
+    assert train_network(flights, [], model, load_effects(), description) is None
     short = [replace(flight, estimate=None) for flight in flights]
-    assert unexplained(short, held_out, model, load_effects(), description) is None
+    assert train_network(short, held_out, model, load_effects(), description) is None

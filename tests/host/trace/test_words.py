@@ -19,9 +19,9 @@ from tests.host.trace.builders import (
 from trimtab.host.effects import ExactAlias
 from trimtab.host.trace import words
 from trimtab.host.trace.data.audit import Audit
-from trimtab.host.trace.data.stretches import STRETCH_ORDER, Stretch
+from trimtab.host.trace.data.stretches import STRETCH_ORDER, UnusedStretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
-from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Finding, Verdict
+from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Finding, Verdict
 from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.sentences import (
@@ -186,7 +186,7 @@ def test_sentences_of_all_findings_are_different() -> None:
 
 @pytest.mark.parametrize("code", STRETCHES)
 def test_reason_of_a_stretch_names_its_cause(code: Code) -> None:
-    one = Stretch(start_s=1.234, end_s=5.678, code=code)
+    one = UnusedStretch(start_s=1.234, end_s=5.678, code=code)
     assert STRETCHES[code] in words.reason(one)
     assert words.stretch(one) == f"1.23 to 5.68 s: {words.reason(one)}"
     left_out = Finding(code=Code.SEGMENTS_LEFT_OUT, value=2, unit="segments", subject=(str(code),))
@@ -195,7 +195,7 @@ def test_reason_of_a_stretch_names_its_cause(code: Code) -> None:
 
 def test_sentences_are_those_of_the_codes_in_the_order_of_the_findings() -> None:
     findings = [finding for finding, _ in EXAMPLES.values()]
-    for codes in (UNEXPLAINED, DOUBTS, frozenset({Code.SOMETHING_MISSING})):
+    for codes in (OUTSIDE_LIBRARY_CODES, DOUBTS, frozenset({Code.SOMETHING_MISSING})):
         expected = [sentence(finding) for finding in findings if finding.code in codes]
         assert len(expected) == len(codes)
         assert sentences(findings, codes) == expected
@@ -208,7 +208,9 @@ def audit_of(log: str, *codes: Code, stretches: int = 0, left_out: int = 0) -> A
         log=log,
         rates=(),
         largest_gap_s=0.01,
-        stretches=tuple(Stretch(start_s=float(k), end_s=k + 0.5, code=Code.IMPACT) for k in range(stretches)),
+        stretches=tuple(
+            UnusedStretch(start_s=float(k), end_s=k + 0.5, code=Code.IMPACT) for k in range(stretches)
+        ),
         findings=tuple(EXAMPLES[code][0] for code in codes),
         left_out=left_out,
     )

@@ -1,4 +1,4 @@
-"""Evidence and parameters that the tests of the decision share."""
+"""Inputs and parameters that the tests of the decision share."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pytest
 from tests.host.trace.builders import (
     build_channel,
     build_effect,
-    build_evidence,
+    build_inputs,
     build_residual,
     build_space,
 )
@@ -35,11 +35,11 @@ def codes_of(findings: Sequence[Finding]) -> list[Code]:
 
 def codes(selected: Names = (), **changes: Any) -> list[Code]:
     """Return the codes of all findings of `decide`."""
-    return codes_of(decide(build_evidence(selected, **changes)).findings)
+    return codes_of(decide(build_inputs(selected, **changes)).findings)
 
 
 def verdict(selected: Names = (), **changes: Any) -> Verdict:
-    return decide(build_evidence(selected, **changes)).verdict
+    return decide(build_inputs(selected, **changes)).verdict
 
 
 REPEATING = build_residual(force=build_channel(repeat=1.0, z_score=10.0))
@@ -53,7 +53,7 @@ HOVER = {"extent_m": RULES.hover_extent_m * BELOW}
 
 DOUBTED: dict[str, dict[str, Any]] = {
     "excess": {"residual": ALONE, "disturbance_sigma": SHAKEN},
-    "inadmissible": {"by_segments": True, "log_evidence": {(): 0.0, ("drag",): 0.0, ("lag",): 100.0}},
+    "unsupported": {"by_segments": True, "log_evidence": {(): 0.0, ("drag",): 0.0, ("lag",): 100.0}},
     "segments": {"segment_disagreement_nats": {"drag": 100.0}},
 }
 DOUBTS_OF_ANY_KIND = pytest.mark.parametrize("doubt", DOUBTED)
@@ -63,7 +63,7 @@ ALIASES = pytest.mark.parametrize("share", [0.0, 0.3], ids=["no-aliases", "alias
 
 
 def doubted(doubt: str, residual: UnexplainedResidual | None = None) -> dict[str, Any]:
-    """Return changes of the evidence that cause a doubt, with `residual` instead of a quiet one."""
+    """Return changes of the inputs that cause a doubt, with `residual` instead of a quiet one."""
     changes = {"log_evidence": {(): 0.0}, **DOUBTED[doubt]}
     if residual is not None:
         changes["residual"] = replace(residual, pairs=0 if doubt == "excess" else residual.pairs)

@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.host.trace.builders import (
-    build_evidence,
+    build_inputs,
 )
 from tests.host.trace.decision.cases import (
     ABOVE,
@@ -36,9 +36,9 @@ from tests.host.trace.decision.cases import (
 from trimtab.host.trace.decision.alternatives import Names
 from trimtab.host.trace.decision.decide import (
     decide,
-    is_null_probable,
+    is_null_open,
 )
-from trimtab.host.trace.decision.findings import DOUBTS, UNEXPLAINED, Code, Verdict
+from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.residual.unexplained import UnexplainedResidual
 
@@ -88,7 +88,7 @@ def test_verdict_of_the_empty_set_depends_on_the_null_probability(
 ) -> None:
     posterior = {(): scale * null, ("drag",): scale * (1.0 - null)}
     assert verdict((), null_probability=null, posterior_weights=posterior) is expected
-    assert is_null_probable(null) == (expected is Verdict.NOTHING_MISSING)
+    assert is_null_open(null) == (expected is Verdict.NOTHING_MISSING)
 
 
 @NULL
@@ -112,10 +112,10 @@ def test_verdict_of_selected_effects_depends_only_on_their_aliases(
 
 
 def test_decision_on_clear_evidence_has_no_findings() -> None:
-    traced = decide(build_evidence(("drag",)))
+    traced = decide(build_inputs(("drag",)))
     assert (traced.verdict, traced.findings, traced.effects_added) == (Verdict.TRACED, (), True)
     assert (traced.aliases, traced.possible, traced.to_separate) == ({"drag": {}}, {}, None)
-    nothing = decide(build_evidence())
+    nothing = decide(build_inputs())
     assert (nothing.verdict, nothing.findings, nothing.effects_added) == (Verdict.NOTHING_MISSING, (), True)
     assert (nothing.aliases, nothing.possible, nothing.to_separate) == ({}, {}, None)
 
@@ -131,7 +131,7 @@ def test_decision_on_clear_evidence_has_no_findings() -> None:
 def test_effects_are_added_unless_the_cause_is_outside_the_library(
     changes: dict[str, Any], expected: bool
 ) -> None:
-    assert decide(build_evidence(("drag",), **changes)).effects_added == expected
+    assert decide(build_inputs(("drag",), **changes)).effects_added == expected
 
 
 # The order of findings.
@@ -156,7 +156,7 @@ def test_effects_are_added_unless_the_cause_is_outside_the_library(
         ),
         pytest.param(
             (),
-            {"null_probability": 0.01, **doubted("inadmissible")},
+            {"null_probability": 0.01, **doubted("unsupported")},
             [
                 Code.TRACKING_TOO_SHORT,
                 Code.BETTER_BUT_INADMISSIBLE,
@@ -194,7 +194,7 @@ def test_findings_are_ordered_outside_shortfall_disagreement_open_hidden(
 
 
 def test_reasons_and_doubts_are_different_codes() -> None:
-    assert not UNEXPLAINED & DOUBTS
+    assert not OUTSIDE_LIBRARY_CODES & DOUBTS
 
 
 # Other rules than the default.
@@ -222,7 +222,7 @@ def test_reasons_and_doubts_are_different_codes() -> None:
             {"odds": 1e3},
             Verdict.UNDECIDED,
             Verdict.TRACED,
-            id="inadmissible",
+            id="unsupported",
         ),
         pytest.param(
             {"residual": ALONE, "disturbance_sigma": SHAKEN},
@@ -278,21 +278,21 @@ def test_reasons_and_doubts_are_different_codes() -> None:
 def test_decision_uses_the_given_rules(
     changes: dict[str, Any], rules: dict[str, float], expected: Verdict, other: Verdict
 ) -> None:
-    evidence = build_evidence(("drag",), **changes)
-    assert decide(evidence).verdict is expected
-    assert decide(evidence, replace(RULES, **rules)).verdict is other
+    inputs = build_inputs(("drag",), **changes)
+    assert decide(inputs).verdict is expected
+    assert decide(inputs, replace(RULES, **rules)).verdict is other
 
 
 def test_is_null_probable_uses_the_given_rules() -> None:
-    evidence = build_evidence(null_probability=0.04)
-    assert decide(evidence).verdict is Verdict.UNDECIDED
-    assert decide(evidence, replace(RULES, odds=50.0)).verdict is Verdict.NOTHING_MISSING
+    inputs = build_inputs(null_probability=0.04)
+    assert decide(inputs).verdict is Verdict.UNDECIDED
+    assert decide(inputs, replace(RULES, odds=50.0)).verdict is Verdict.NOTHING_MISSING
 
 
 def test_hidden_uses_the_given_rules() -> None:
-    evidence = build_evidence(detectability={"lag": 2.0})
-    assert codes_of(decide(evidence).findings) == [Code.HIDDEN]
-    assert decide(evidence, replace(RULES, detectable_sigma=1.0)).findings == ()
+    inputs = build_inputs(detectability={"lag": 2.0})
+    assert codes_of(decide(inputs).findings) == [Code.HIDDEN]
+    assert decide(inputs, replace(RULES, detectable_sigma=1.0)).findings == ()
 
 
 def test_decide_does_not_change_its_evidence() -> None:
@@ -303,7 +303,7 @@ def test_decide_does_not_change_its_evidence() -> None:
         "residual": ALONE,
         **SHORT,
     }
-    evidence, same = (build_evidence(("drag",), **changes) for _ in range(2))
-    first = decide(evidence)
-    assert evidence == same
-    assert decide(evidence) == first
+    inputs, same = (build_inputs(("drag",), **changes) for _ in range(2))
+    first = decide(inputs)
+    assert inputs == same
+    assert decide(inputs) == first

@@ -1,4 +1,4 @@
-"""Doubts about a decision: excess disturbance, inadmissible sets, disagreement of segments."""
+"""Doubts about a decision: excess disturbance, unsupported sets, disagreement of segments."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 from tests.host.trace.builders import (
-    build_evidence,
+    build_inputs,
     build_residual,
 )
 from tests.host.trace.decision.cases import (
@@ -23,7 +23,7 @@ from tests.host.trace.decision.cases import (
 )
 from trimtab.host.trace.decision.alternatives import Names
 from trimtab.host.trace.decision.decide import (
-    better_but_inadmissible,
+    better_but_unsupported,
     decide,
     excess_disturbance,
     segment_disagreement,
@@ -67,10 +67,10 @@ def test_excess_disturbance_counts_above_turbulence(
     sigma: Mapping[int, float], changes: dict[str, Any], expected: Code | None
 ) -> None:
     disturbance = tuple(sigma.get(k, 0.01) for k in range(6))
-    evidence = build_evidence(disturbance_sigma=disturbance, residual=ALONE, **changes)
-    findings = excess_disturbance(evidence, RULES)
+    inputs = build_inputs(disturbance_sigma=disturbance, residual=ALONE, **changes)
+    findings = excess_disturbance(inputs, RULES)
     assert codes_of(findings) == ([] if expected is None else [expected])
-    assert list(decide(evidence).findings) == findings
+    assert list(decide(inputs).findings) == findings
 
 
 @pytest.mark.parametrize(
@@ -93,7 +93,7 @@ def test_excess_disturbance_counts_above_turbulence(
 def test_excess_disturbance_finding_holds_value_bound_and_unit(
     sigma: tuple[float, ...], expected: tuple[float, float, str], mentioned: str
 ) -> None:
-    (finding,) = excess_disturbance(build_evidence(disturbance_sigma=sigma), RULES)
+    (finding,) = excess_disturbance(build_inputs(disturbance_sigma=sigma), RULES)
     assert (finding.value, finding.bound, finding.unit) == expected
     assert mentioned in sentence(finding)
 
@@ -102,14 +102,14 @@ def test_excess_disturbance_finding_holds_value_bound_and_unit(
 @pytest.mark.parametrize(("pairs", "applied"), [(0, True), (1, False), (3, False)])
 def test_excess_disturbance_counts_only_without_repeats(pairs: int, applied: bool, by_segments: bool) -> None:
     changes: dict[str, Any] = {"disturbance_sigma": SHAKEN, "by_segments": by_segments}
-    decision = decide(build_evidence(("drag",), residual=build_residual(pairs=pairs), **changes))
+    decision = decide(build_inputs(("drag",), residual=build_residual(pairs=pairs), **changes))
     assert codes_of(decision.findings) == ([Code.EXCESS_FORCE] if applied else [])
     assert decision.verdict is (Verdict.UNDECIDED if applied else Verdict.TRACED)
 
 
-# Sets that are better but inadmissible.
+# Sets that are better but unsupported.
 
-ADMISSIBLE: dict[Names, float] = {(): 0.0, ("drag",): 5.0}
+SUPPORTED: dict[Names, float] = {(): 0.0, ("drag",): 5.0}
 
 
 @pytest.mark.parametrize(
@@ -121,9 +121,9 @@ ADMISSIBLE: dict[Names, float] = {(): 0.0, ("drag",): 5.0}
         pytest.param(100.0, True, id="far-better"),
     ],
 )
-def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float, speaks: bool) -> None:
-    log_evidence = {**ADMISSIBLE, ("inflow", "lag"): nats}
-    findings = better_but_inadmissible(log_evidence, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+def test_better_but_unsupported_counts_from_the_best_supported_set(nats: float, speaks: bool) -> None:
+    log_evidence = {**SUPPORTED, ("inflow", "lag"): nats}
+    findings = better_but_unsupported(log_evidence, dict.fromkeys(SUPPORTED, 1.0), RULES)
     assert codes_of(findings) == [Code.BETTER_BUT_INADMISSIBLE] * speaks
     for finding in findings:
         assert finding.subject == ("inflow", "lag")
@@ -142,25 +142,25 @@ def test_better_but_inadmissible_counts_from_the_best_admissible_set(nats: float
         pytest.param({("lag",): -9.0, ("inflow",): 40.0}, ("inflow",), id="the-other-far-behind"),
     ],
 )
-def test_better_but_inadmissible_names_only_the_best_such_set(
+def test_better_but_unsupported_names_only_the_best_such_set(
     others: dict[Names, float], expected: Names
 ) -> None:
-    (finding,) = better_but_inadmissible({**ADMISSIBLE, **others}, dict.fromkeys(ADMISSIBLE, 1.0), RULES)
+    (finding,) = better_but_unsupported({**SUPPORTED, **others}, dict.fromkeys(SUPPORTED, 1.0), RULES)
     assert finding.subject == expected
     assert finding.value == 35.0
 
 
 @pytest.mark.parametrize("weight", [1e-12, 1.0])
-def test_better_but_inadmissible_without_an_inadmissible_set_is_empty(weight: float) -> None:
-    log_evidence = {**ADMISSIBLE, ("lag",): 100.0}
-    assert better_but_inadmissible(log_evidence, dict.fromkeys(log_evidence, weight), RULES) == []
+def test_better_but_unsupported_without_an_unsupported_set_is_empty(weight: float) -> None:
+    log_evidence = {**SUPPORTED, ("lag",): 100.0}
+    assert better_but_unsupported(log_evidence, dict.fromkeys(log_evidence, weight), RULES) == []
 
 
 @pytest.mark.parametrize("pairs", [0, 1])
 @pytest.mark.parametrize("by_segments", [False, True])
-def test_better_but_inadmissible_counts_only_for_segments(by_segments: bool, pairs: int) -> None:
+def test_better_but_unsupported_counts_only_for_segments(by_segments: bool, pairs: int) -> None:
     decision = decide(
-        build_evidence(
+        build_inputs(
             ("drag",),
             log_evidence={("drag",): 0.0, ("lag",): 100.0},
             by_segments=by_segments,
@@ -203,7 +203,7 @@ def test_segment_disagreement_names_effects_that_segments_reject(
 @pytest.mark.parametrize("by_segments", [False, True])
 def test_segment_disagreement_counts_only_for_whole_flights(by_segments: bool, pairs: int) -> None:
     decision = decide(
-        build_evidence(
+        build_inputs(
             ("drag",),
             segment_disagreement_nats={"drag": 100.0},
             by_segments=by_segments,

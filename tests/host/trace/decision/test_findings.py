@@ -9,7 +9,7 @@ import pytest
 from trimtab.host.base.errors import UsageError
 from trimtab.host.trace.decision.findings import (
     DOUBTS,
-    UNEXPLAINED,
+    OUTSIDE_LIBRARY_CODES,
     Code,
     Finding,
     LogsRefused,
@@ -72,7 +72,7 @@ def test_codes_are_their_names_as_the_json_documents_them() -> None:
 
 
 def test_reasons_and_doubts_are_the_documented_codes() -> None:
-    assert {str(code) for code in UNEXPLAINED} == {
+    assert {str(code) for code in OUTSIDE_LIBRARY_CODES} == {
         "flights-repeat",
         "flights-worsened",
         "force-repeats",

@@ -9,7 +9,7 @@ import pytest
 from tests.host.trace.builders import (
     LIBRARY,
     build_effect,
-    build_evidence,
+    build_inputs,
     build_parameter,
     build_space,
 )
@@ -60,13 +60,13 @@ from trimtab.host.trace.sentences import sentence
 def test_pair_to_separate_is_given_only_if_the_verdict_is_undecided(
     selected: Names, changes: dict[str, Any], expected: tuple[str, str] | None
 ) -> None:
-    assert decide(build_evidence(selected, **changes)).to_separate == expected
+    assert decide(build_inputs(selected, **changes)).to_separate == expected
 
 
 def test_alternatives_are_listed_with_their_probability_and_its_bound() -> None:
     posterior: dict[Names, float] = {("drag",): 0.625, ("wind",): 0.25, ("gain",): 0.125}
     inclusion = {"drag": 0.625, "wind": 0.25, "gain": 0.125, "lag": 0.2, "sag": 0.3}
-    decision = decide(build_evidence(("drag",), posterior_weights=posterior, inclusion_probability=inclusion))
+    decision = decide(build_inputs(("drag",), posterior_weights=posterior, inclusion_probability=inclusion))
     assert decision.possible == {"sag": 0.3, "lag": 0.2}
     assert [(f.code, f.subject, f.value, f.bound) for f in decision.findings] == [
         (Code.ALIAS, ("drag", "wind"), 0.25, OPEN),
@@ -80,7 +80,7 @@ def test_alternatives_are_listed_with_their_probability_and_its_bound() -> None:
 
 def test_undetectable_alias_is_not_also_listed_as_possible() -> None:
     decision = decide(
-        build_evidence(
+        build_inputs(
             ("drag",),
             space=RELATED,
             detectability={"lift": 1.0},
@@ -97,11 +97,9 @@ def test_undetectable_alias_is_not_also_listed_as_possible() -> None:
         pytest.param((), {"null_probability": 0.01}, 0.99, id="nothing-selected"),
         pytest.param((), {"null_probability": OPEN}, 1.0 - OPEN, id="null-probability-at"),
         pytest.param((), {"null_probability": OPEN * ABOVE}, None, id="nothing-missing"),
-        pytest.param((), {"null_probability": 0.4, **doubted("inadmissible")}, 0.6, id="in-doubt"),
-        pytest.param((), {"null_probability": 0.5, **doubted("inadmissible")}, None, id="even-in-doubt"),
-        pytest.param(
-            (), {"null_probability": 0.6, **doubted("inadmissible")}, None, id="improbable-in-doubt"
-        ),
+        pytest.param((), {"null_probability": 0.4, **doubted("unsupported")}, 0.6, id="in-doubt"),
+        pytest.param((), {"null_probability": 0.5, **doubted("unsupported")}, None, id="even-in-doubt"),
+        pytest.param((), {"null_probability": 0.6, **doubted("unsupported")}, None, id="improbable-in-doubt"),
         pytest.param(("drag",), {"posterior_weights": weights(("drag",), 0.3)}, None, id="selected"),
         pytest.param((), {"null_probability": 0.01, "residual": REPEATING}, None, id="outside-library"),
     ],
@@ -111,7 +109,7 @@ def test_something_is_missing_if_the_empty_set_is_selected_but_improbable(
 ) -> None:
     findings = [
         finding
-        for finding in decide(build_evidence(selected, **changes)).findings
+        for finding in decide(build_inputs(selected, **changes)).findings
         if finding.code is Code.SOMETHING_MISSING
     ]
     assert [finding.value for finding in findings] == ([] if expected is None else [pytest.approx(expected)])
@@ -149,7 +147,7 @@ def test_hidden_returns_undetectable_effects(sigma: float, expected: Names) -> N
             code=Code.HIDDEN, value=sigma, bound=DETECTABLE, unit="sigma", subject=("lag",)
         )
         assert "lag" in sentence(finding)
-    assert list(decide(build_evidence(detectability={"lag": sigma})).findings) == findings
+    assert list(decide(build_inputs(detectability={"lag": sigma})).findings) == findings
 
 
 @pytest.mark.parametrize(

@@ -9,8 +9,8 @@ import pytest
 from tests.host.trace.builders import (
     build_channel,
     build_effect,
-    build_evidence,
     build_flight_repeat,
+    build_inputs,
     build_residual,
     build_space,
 )
@@ -52,7 +52,7 @@ from trimtab.host.trace.residual.unexplained import SpectralLine, UnexplainedRes
 def test_shortfall_alone_does_not_make_the_verdict_undecided(
     changes: dict[str, Any], expected: Code, selected: Names, sure: Verdict
 ) -> None:
-    decision = decide(build_evidence(selected, **changes))
+    decision = decide(build_inputs(selected, **changes))
     assert decision.verdict is sure
     assert codes_of(decision.findings) == [expected]
 
@@ -73,7 +73,7 @@ def test_shortfall_alone_does_not_make_the_verdict_undecided(
 def test_undetectable_aliases_count_only_if_tracking_is_short(
     changes: dict[str, Any], extended: bool
 ) -> None:
-    decision = decide(build_evidence(("drag",), space=RELATED, detectability={"lift": 1.0}, **changes))
+    decision = decide(build_inputs(("drag",), space=RELATED, detectability={"lift": 1.0}, **changes))
     assert decision.aliases == {"drag": {"lift": 0.5} if extended else {}}
     assert decision.verdict is (Verdict.UNDECIDED if extended else Verdict.TRACED)
     assert decision.to_separate == (("drag", "lift") if extended else None)
@@ -81,7 +81,7 @@ def test_undetectable_aliases_count_only_if_tracking_is_short(
 
 
 def test_short_tracking_leaves_out_detectable_aliases_and_other_effects() -> None:
-    shown = build_evidence(("drag",), space=RELATED, detectability={"lift": 9.0, "lag": 1.0}, **SHORT)
+    shown = build_inputs(("drag",), space=RELATED, detectability={"lift": 9.0, "lag": 1.0}, **SHORT)
     assert decide(shown).aliases == {"drag": {}}
 
 
@@ -98,7 +98,7 @@ def test_short_tracking_leaves_out_detectable_aliases_and_other_effects() -> Non
 def test_selected_effects_are_mutual_aliases_only_for_segments_or_without_repeats(
     changes: dict[str, Any], extended: bool
 ) -> None:
-    decision = decide(build_evidence(("drag", "lift"), space=RELATED, **changes))
+    decision = decide(build_inputs(("drag", "lift"), space=RELATED, **changes))
     assert decision.aliases == (
         {"drag": {"lift": 0.5}, "lift": {"drag": 0.5}} if extended else {"drag": {}, "lift": {}}
     )
@@ -121,7 +121,7 @@ def test_selected_effects_are_mutual_aliases_only_for_segments_or_without_repeat
 def test_outside_library_findings_refer_to_the_model_without_effects_if_it_has_any(
     residual: UnexplainedResidual, without: UnexplainedResidual, value: float
 ) -> None:
-    decision = decide(build_evidence(("drag",), residual=residual, residual_without=without))
+    decision = decide(build_inputs(("drag",), residual=residual, residual_without=without))
     assert decision.verdict is Verdict.OUTSIDE_LIBRARY
     assert codes_of(decision.findings) == [Code.FORCE_REPEATS]
     assert decision.findings[0].value == value
@@ -130,7 +130,7 @@ def test_outside_library_findings_refer_to_the_model_without_effects_if_it_has_a
 
 def test_outside_library_model_without_effects_has_its_own_bounds() -> None:
     """If 3 m/s^2 repeat without effects, 0.3 may remain with them; the bound on the 3 themselves is 0.06."""
-    decision = decide(build_evidence(("drag",), residual=repeating(0.31), residual_without=repeating(3.0)))
+    decision = decide(build_inputs(("drag",), residual=repeating(0.31), residual_without=repeating(3.0)))
     assert [(finding.value, finding.bound) for finding in decision.findings] == [(3.0, 0.06)]
 
 
@@ -142,22 +142,22 @@ def test_outside_library_model_without_effects_has_its_own_bounds() -> None:
     ],
 )
 def test_selected_effects_may_leave_a_share_of_the_residual(size: float, expected: Verdict) -> None:
-    decision = decide(build_evidence(("drag",), residual=repeating(size), residual_without=repeating(3.0)))
+    decision = decide(build_inputs(("drag",), residual=repeating(size), residual_without=repeating(3.0)))
     assert decision.verdict is expected
 
 
 def test_residual_without_effects_is_no_reason_if_the_effects_explain_it() -> None:
-    decision = decide(build_evidence(("drag",), residual_without=repeating(3.0)))
+    decision = decide(build_inputs(("drag",), residual_without=repeating(3.0)))
     assert (decision.verdict, decision.findings) == (Verdict.TRACED, ())
     assert decision.residual == build_residual()
 
 
 def test_effects_that_increase_the_flight_error_are_outside_the_library() -> None:
     one, without = (
-        build_residual(flights=build_flight_repeat(share=0.05, z_score=5.0, position_m=position_m))
+        build_residual(flight_repeat=build_flight_repeat(share=0.05, z_score=5.0, position_m=position_m))
         for position_m in (0.12, 0.01)
     )
-    decision = decide(build_evidence(("drag",), residual=one, residual_without=without))
+    decision = decide(build_inputs(("drag",), residual=one, residual_without=without))
     assert decision.verdict is Verdict.OUTSIDE_LIBRARY
     assert [(f.code, f.value, f.bound) for f in decision.findings] == [
         (Code.FLIGHTS_WORSENED, 0.12, pytest.approx(0.015))
@@ -193,7 +193,7 @@ def test_selected_effect_with_states_may_leave_some_of_its_swing(
 @pytest.mark.parametrize("selected", [(), ("drag",)], ids=["nothing-selected", "selected"])
 def test_outside_the_library_no_alternatives_are_listed(selected: Names) -> None:
     decision = decide(
-        build_evidence(
+        build_inputs(
             selected,
             residual=REPEATING,
             null_probability=0.01,
@@ -215,5 +215,5 @@ def test_outside_the_library_no_alternatives_are_listed(selected: Names) -> None
 def test_selected_effect_is_hidden_only_if_it_is_not_added(
     residual: UnexplainedResidual, expected: list[str]
 ) -> None:
-    decision = decide(build_evidence(("drag",), residual=residual, detectability={"lag": 1.0, "drag": 2.0}))
+    decision = decide(build_inputs(("drag",), residual=residual, detectability={"lag": 1.0, "drag": 2.0}))
     assert [f.subject[0] for f in decision.findings if f.code is Code.HIDDEN] == expected

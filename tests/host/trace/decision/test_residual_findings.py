@@ -12,7 +12,7 @@ from tests.host.trace.builders import build_channel, build_flight_repeat, build_
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.residual_rules import (
     ResidualBounds,
-    no_model_bounds,
+    no_effect_bounds,
     residual_bounds,
     residual_findings,
 )
@@ -58,7 +58,7 @@ def ringing(name: str, line: float = 20.0, **changes: float) -> dict[str, Any]:
 
 def found_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None) -> list[Finding]:
     """Return the findings by `bounds`, by default those of the model without effects."""
-    return residual_findings(residual, bounds or no_model_bounds(RULES), RULES)
+    return residual_findings(residual, bounds or no_effect_bounds(RULES), RULES)
 
 
 def codes_in(residual: UnexplainedResidual, bounds: ResidualBounds | None = None) -> list[Code]:
@@ -70,7 +70,7 @@ CALM = build_flight_repeat(share=0.0, z_score=0.0, position_m=0.0)
 
 
 def test_no_model_bounds_are_the_rules_without_a_position_bound() -> None:
-    assert no_model_bounds(RULES) == ResidualBounds(
+    assert no_effect_bounds(RULES) == ResidualBounds(
         force=RULES.force_floor_m_s2,
         torque=RULES.torque_floor_rad_s2,
         line_ratio=RULES.line_ratio,
@@ -81,7 +81,7 @@ def test_no_model_bounds_are_the_rules_without_a_position_bound() -> None:
 
 def test_findings_of_a_quiet_residual_are_empty() -> None:
     assert found_in(build_residual()) == []
-    assert found_in(build_residual(flights=CALM)) == []
+    assert found_in(build_residual(flight_repeat=CALM)) == []
     assert found_in(build_residual(pairs=0)) == []
 
 
@@ -159,7 +159,7 @@ def test_line_needs_ratio_chance_and_size(
         ),
         pytest.param(
             # At z = 10, two standard errors are a fifth of the share.
-            {"flights": build_flight_repeat(share=1.44, z_score=10.0, position_m=0.0471)},
+            {"flight_repeat": build_flight_repeat(share=1.44, z_score=10.0, position_m=0.0471)},
             Finding(
                 code=Code.FLIGHTS_REPEAT,
                 value=1.44 * 0.8,
@@ -199,7 +199,7 @@ def test_finding_holds_value_bound_and_details(
 def test_whole_flights_overrule_segments_in_repeatability_not_in_lines(
     flights: FlightRepeat | None, expected: list[Code]
 ) -> None:
-    residual = build_residual(**repeating("force"), **ringing("torque"), flights=flights)
+    residual = build_residual(**repeating("force"), **ringing("torque"), flight_repeat=flights)
     assert codes_in(residual) == expected
 
 
@@ -230,7 +230,7 @@ def test_findings_list_force_first_and_repeatability_before_lines() -> None:
     ],
 )
 def test_whole_flights_need_a_significant_share(share: float, z_score: float, count: int) -> None:
-    residual = build_residual(flights=build_flight_repeat(share=share, z_score=z_score))
+    residual = build_residual(flight_repeat=build_flight_repeat(share=share, z_score=z_score))
     assert codes_in(residual) == [Code.FLIGHTS_REPEAT] * count
 
 
@@ -240,15 +240,15 @@ def test_whole_flights_need_a_significant_share(share: float, z_score: float, co
     ids=["just-below", "at", "just-above"],
 )
 def test_repeatable_position_above_its_bound_counts_as_worsened(position_m: float, count: int) -> None:
-    residual = build_residual(flights=build_flight_repeat(position_m=position_m))
-    bounds = replace(no_model_bounds(RULES), position_m=0.02)
+    residual = build_residual(flight_repeat=build_flight_repeat(position_m=position_m))
+    bounds = replace(no_effect_bounds(RULES), position_m=0.02)
     assert codes_in(residual, bounds) == [Code.FLIGHTS_WORSENED] * count
     assert codes_in(residual) == []
 
 
 def test_worsened_position_also_reports_segments() -> None:
-    residual = build_residual(**repeating("force"), flights=build_flight_repeat(position_m=0.03))
-    worse, repeats = found_in(residual, replace(no_model_bounds(RULES), position_m=0.02))
+    residual = build_residual(**repeating("force"), flight_repeat=build_flight_repeat(position_m=0.03))
+    worse, repeats = found_in(residual, replace(no_effect_bounds(RULES), position_m=0.02))
     assert worse == Finding(code=Code.FLIGHTS_WORSENED, value=0.03, bound=0.02, unit="m")
     assert repeats.code is Code.FORCE_REPEATS
     assert repeats.value == pytest.approx(0.6)
@@ -258,8 +258,11 @@ def test_worsened_position_also_reports_segments() -> None:
 
 
 def test_flights_repeat_is_listed_before_flights_worsened() -> None:
-    bounds = replace(no_model_bounds(RULES), position_m=0.02)
-    assert codes_in(build_residual(flights=LOUD), bounds) == [Code.FLIGHTS_REPEAT, Code.FLIGHTS_WORSENED]
+    bounds = replace(no_effect_bounds(RULES), position_m=0.02)
+    assert codes_in(build_residual(flight_repeat=LOUD), bounds) == [
+        Code.FLIGHTS_REPEAT,
+        Code.FLIGHTS_WORSENED,
+    ]
 
 
 @pytest.mark.parametrize(
@@ -274,24 +277,32 @@ def test_flights_repeat_is_listed_before_flights_worsened() -> None:
             {"force": build_channel(repeat=-5.0), "torque": build_channel(repeat=-50.0)}, {}, id="reversed"
         ),
         pytest.param(
-            {"flights": build_flight_repeat(share=REPEAT_SHARE / RULES.flight_form_amplitude**2 * BELOW)},
+            {
+                "flight_repeat": build_flight_repeat(
+                    share=REPEAT_SHARE / RULES.flight_form_amplitude**2 * BELOW
+                )
+            },
             {"position_m": WORSENED_M},
             id="share-just-below",
         ),
         pytest.param(
-            {"flights": build_flight_repeat(share=25.0)},
+            {"flight_repeat": build_flight_repeat(share=25.0)},
             {"flight_share": 1.0, "position_m": WORSENED_M},
             id="share",
         ),
         pytest.param(
-            {"flights": build_flight_repeat(share=-25.0)}, {"position_m": WORSENED_M}, id="share-reversed"
+            {"flight_repeat": build_flight_repeat(share=-25.0)},
+            {"position_m": WORSENED_M},
+            id="share-reversed",
         ),
         pytest.param(
-            {"flights": build_flight_repeat(position_m=WORSENED_M / WORSENED * BELOW)},
+            {"flight_repeat": build_flight_repeat(position_m=WORSENED_M / WORSENED * BELOW)},
             {"position_m": WORSENED_M},
             id="position-just-below",
         ),
-        pytest.param({"flights": build_flight_repeat(position_m=0.2)}, {"position_m": 0.3}, id="position"),
+        pytest.param(
+            {"flight_repeat": build_flight_repeat(position_m=0.2)}, {"position_m": 0.3}, id="position"
+        ),
         pytest.param(ringing("force") | ringing("torque"), {}, id="lines-raise-nothing"),
     ],
 )
@@ -299,7 +310,7 @@ def test_bounds_increase_with_the_residual_without_effects(
     missing: dict[str, Any], expected: dict[str, float]
 ) -> None:
     bounds = residual_bounds(build_residual(**missing), has_memory=False, rules=RULES)
-    assert asdict(bounds) == pytest.approx(asdict(no_model_bounds(RULES)) | expected)
+    assert asdict(bounds) == pytest.approx(asdict(no_effect_bounds(RULES)) | expected)
 
 
 def test_bounds_are_never_below_the_given_rules() -> None:
@@ -314,12 +325,12 @@ def test_bounds_are_never_below_the_given_rules() -> None:
     without = build_residual(
         force=build_channel(repeat=5.0),
         torque=build_channel(repeat=50.0),
-        flights=build_flight_repeat(share=25.0, position_m=0.2),
+        flight_repeat=build_flight_repeat(share=25.0, position_m=0.2),
     )
     assert residual_bounds(without, has_memory=False, rules=strict) == ResidualBounds(
         force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0, position_m=5.0
     )
-    assert no_model_bounds(strict) == ResidualBounds(force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0)
+    assert no_effect_bounds(strict) == ResidualBounds(force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0)
 
 
 @pytest.mark.parametrize("name", CHANNELS)
@@ -340,7 +351,7 @@ def test_line_must_be_stronger_with_an_effect_with_states(
 
 @pytest.mark.parametrize("name", CHANNELS)
 def test_line_must_exceed_the_repeatability_bound_of_its_channel(name: str) -> None:
-    bounds = replace(no_model_bounds(RULES), **{name: 20.0 * FLOOR[name]})
+    bounds = replace(no_effect_bounds(RULES), **{name: 20.0 * FLOOR[name]})
     assert codes_in(build_residual(**ringing(name, rms=20.0 * BELOW)), bounds) == []
     assert codes_in(build_residual(**ringing(name, rms=20.0 * ABOVE)), bounds) == [RINGS[name]]
 
@@ -349,13 +360,13 @@ def test_line_must_exceed_the_repeatability_bound_of_its_channel(name: str) -> N
     ("residual", "rule", "value"),
     [
         pytest.param(repeating("force"), "repeat_z", 11.0, id="score"),
-        pytest.param({"flights": LOUD}, "repeat_z", 11.0, id="score-of-whole-flights"),
+        pytest.param({"flight_repeat": LOUD}, "repeat_z", 11.0, id="score-of-whole-flights"),
         pytest.param(ringing("force"), "line_false_alarm", 1e-10, id="chance"),
         pytest.param(ringing("force"), "line_ratio", 21.0, id="ratio"),
-        pytest.param({"flights": LOUD}, "flight_repeat_share", 0.9, id="share"),
+        pytest.param({"flight_repeat": LOUD}, "flight_repeat_share", 0.9, id="share"),
     ],
 )
 def test_residual_findings_use_the_given_rules(residual: dict[str, Any], rule: str, value: float) -> None:
     stricter = replace(RULES, **{rule: value})
     assert len(found_in(build_residual(**residual))) == 1
-    assert residual_findings(build_residual(**residual), no_model_bounds(stricter), stricter) == []
+    assert residual_findings(build_residual(**residual), no_effect_bounds(stricter), stricter) == []

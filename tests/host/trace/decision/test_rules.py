@@ -23,7 +23,7 @@ from trimtab.host.trace.segment_fit import fit as segment_fit
 EXPECTED: Mapping[str, float] = {
     # Evidence.
     "odds": 20.0,
-    "prior_odds": 40.0,
+    "prior_odds_against": 40.0,
     "slab_sigma": 2.0,
     "disturbance_correlation": 0.75,
     "max_effects": 6,
@@ -175,7 +175,7 @@ def test_values_derived_from_the_odds_are_as_expected() -> None:
 
 
 def test_values_derived_from_the_odds_change_with_them() -> None:
-    other = replace(RULES, odds=100.0, prior_odds=10.0)
+    other = replace(RULES, odds=100.0, prior_odds_against=10.0)
     assert math.exp(other.tie_nats) == pytest.approx(100.0)
     assert other.alias_probability == pytest.approx(0.01)
     # Two effects separated by this many sigma have a likelihood ratio equal to the odds.
