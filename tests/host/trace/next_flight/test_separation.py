@@ -25,7 +25,7 @@ from trimtab.host.trace.segment_fit.fit import SegmentFit, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
-DATA = Path(__file__).parent.parent.parent / "data"
+DATA = Path(__file__).parents[3] / "data"
 LIBRARY = ("com-offset", "frame-tilt", "linear-drag", "mass", "thrust-gain", "torque-bias", "wind")
 NAMES = ("hover", "hover-turns", "doublets")
 

@@ -22,7 +22,7 @@ from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.whitening import CHANNELS
 from trimtab.host.trace.parameters import ParameterSpace, space
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")
 LIBRARY = (*PRESENT, "com-offset", "linear-drag", "mass", "quadratic-drag")
 NOISE = np.repeat([4e-4, 3e-3, 8e-3, 2e-2], 3)

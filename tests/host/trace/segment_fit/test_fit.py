@@ -15,7 +15,7 @@ from trimtab.host.trace.parameters import space
 from trimtab.host.trace.segment_fit.fit import at_parameters, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 LIBRARY = ("thrust-gain", "mass", "com-offset", "ground-effect")
 
 

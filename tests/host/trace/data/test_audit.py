@@ -19,7 +19,7 @@ from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import Code, Finding
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 BEGIN_S, END_S = 3.0, 3.5
 
 

@@ -18,7 +18,7 @@ from trimtab.host.trace.residual import network as module
 from trimtab.host.trace.residual.description import describe
 from trimtab.host.trace.residual.network import train_network
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 
 
 def test_network_on_the_residual_predicts_and_names_no_cause(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -19,7 +19,7 @@ from trimtab.host.trace.residual.description import Description, describe
 from trimtab.host.trace.residual.features import Bins, bins_of
 from trimtab.host.vehicle import load_vehicle
 
-DATA = Path(__file__).parents[2] / "data"
+DATA = Path(__file__).parents[3] / "data"
 VEHICLE = load_vehicle("research")
 REFERENCES = ("a", "a", "b", "b", "c")
 Push = Callable[[Bins], np.ndarray]
