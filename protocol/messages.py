@@ -1,4 +1,4 @@
-"""Messages of the dialect under short names, addresses, and heartbeats.
+"""Short names for the messages of the dialect; addresses; heartbeats.
 
 Messages take their fields by position, in the order of `dialect/trimtab.xml`, or by name. Text fields are
 bytes. `mavlink` holds the constants of the dialect (`mavlink.MAV_CMD_NAV_LAND`).

@@ -59,7 +59,7 @@ def decode_quaternion(q: Sequence[int]) -> tuple[float, float, float, float]:
     return (w / norm, x / norm, y / norm, z / norm) if norm else (1.0, 0.0, 0.0, 0.0)
 
 
-def whole_tick(tick: int, now: int) -> int:
+def unwrap_tick(tick: int, now: int) -> int:
     """Return the tick nearest to `now` whose last 32 bits are `tick`. The 32 bits wrap after 49.7 days."""
     return now + difference(tick, now)
 

@@ -60,9 +60,9 @@ class FramePacker:
     """Packs complete messages into radio frames by priority, in order of arrival within each class.
 
     Poses have precedence over all other messages. At most `poses` of them wait: a newer pose replaces the
-    oldest. If a queue is full, control telemetry drops its oldest message; every other class refuses the new
-    one. A message longer than a frame is sent in pieces, one for each frame, when no more urgent message
-    waits. More urgent messages may go out between the pieces.
+    oldest. If a queue is full, the queue FAST_TELEMETRY drops its oldest message; every other class refuses
+    the new one. A message longer than a frame is sent in pieces, one for each frame, when no more urgent
+    message waits. More urgent messages may go out between the pieces.
 
     Parameters
     ----------
@@ -78,7 +78,7 @@ class FramePacker:
     waiting
         Number of waiting messages.
     refused
-        Number of messages dropped because a queue was full, including control telemetry.
+        Number of messages dropped because a queue was full, including FAST_TELEMETRY.
     replaced
         Number of poses that a newer pose replaced.
     packed

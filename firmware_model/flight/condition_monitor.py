@@ -117,7 +117,7 @@ class ConditionMonitor:
         self._low_v = empty + share * (full - empty) if share > 0.0 else -math.inf
         self._smooth_us = parameters.us("FS_BAT_S")
         self._fence = fence(parameters, parameters["FS_FENCE_M"])
-        self._late_us = parameters.us("FS_LOOP_S")
+        self._late_window_us = parameters.us("FS_LOOP_S")
         self._late_ticks_us = deque(self._late_ticks_us, maxlen=round(parameters["FS_LOOP_MAX"]))
 
     def start(self, now_us: int) -> None:
@@ -156,7 +156,7 @@ class ConditionMonitor:
     def active_conditions(self) -> list[Condition]:
         """Return the conditions active at the last update, in the order of the table."""
         late, now_us = self._late_ticks_us, self._update_us
-        overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_us
+        overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_window_us
         since = {
             Event.TILTED: self._level_us,
             Event.IMU_STUCK: self._imu_us,
@@ -195,8 +195,8 @@ class ConditionMonitor:
         """Update with force and thrust over mass (m/s^2, up); return whether the floor carries the vehicle.
 
         expected_excess: how far force exceeds thrust (m/s^2) once the floor carries the vehicle. learn:
-        whether a slow change of the excess updates the thrust ratio. Such changes come from air at other
-        heights, a tether that slackens, or ground effect.
+        whether a slow change of the excess updates the thrust ratio. Such changes come from an air flow that
+        varies with height, a tether that slackens, or ground effect.
         """
         bound = min(max(0.5 * expected_excess, TOUCH_FORCE), TOUCH_FORCE_MAX)
         touching = force - self.thrust_ratio * thrust > bound

@@ -24,7 +24,7 @@ class Action(IntEnum):
 
 
 class Failsafe(IntEnum):
-    """Last failure that disarmed the vehicle or led into FAILSAFE.
+    """Failures, as FC_STATUS reports the last one that disarmed the vehicle or led into FAILSAFE.
 
     FC_STATUS reports its value until the next arming.
     """
@@ -47,7 +47,8 @@ class Condition:
     Parameters
     ----------
     failsafe, event, action
-        Reported failure, event for the supervisor, and action; HOLD is the state HOLD, without FAILSAFE.
+        Reported failure, event for the supervisor, and action. For HOLD the vehicle enters the state HOLD,
+        not FAILSAFE.
     description
         The condition.
     bound, timeout

@@ -1,4 +1,6 @@
-"""Feed-forward as engine inputs: form (a) unchanged, form (b) evaluated along the reference."""
+"""Feed-forward as engine inputs: the block of coefficients (form a), and the network (form b) along the
+reference.
+"""
 
 from __future__ import annotations
 

@@ -33,16 +33,19 @@ UPDATE_TICKS = 10
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
-"""Entering one of these states leaves the disturbance observer as it is; entering any other stops it. It is
-started on entry to TRACKING, and in any flying state except LANDING and FAILSAFE above 2 LAND_HEIGHT. While
-it is stopped its estimate is constant: in a landing it would interpret the floor as a disturbance."""
+"""Entering TRACKING starts the disturbance observer. Entering HOLD or OFFBOARD leaves it as it is; entering
+any other state stops it. Above 2 LAND_HEIGHT it is started in every flying state except LANDING and FAILSAFE.
+While it is stopped its estimate is constant: in a landing it would interpret the floor as a disturbance.
+"""
 _END = {
     State.TRACKING: Event.REFERENCE_ENDED,
     State.HOLD: Event.HELD,
     State.LANDING: Event.TOUCHDOWN,
     State.FAILSAFE: Event.TOUCHDOWN,
 }
-"""Event at the end of a state's track. For descents this is the latest touchdown; then the motors stop."""
+"""Event at the end of a state's track. At the end of a descent's track the vehicle counts as landed even if
+no touchdown was detected.
+"""
 
 
 class Flight:
@@ -151,7 +154,7 @@ class Flight:
     # Commands and measurements.
 
     def handle_event(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
-        """Apply an event, a command or the end of a phase; return why it was refused, or None.
+        """Apply an event (a command or the end of a phase); return why it was refused, or None.
 
         height_m: height of a take-off; TAKEOFF_HEIGHT by default.
         """
@@ -327,9 +330,12 @@ class Flight:
             self._report(_WARNING, "no live reference: start will be refused")
 
     def _hold(self, event: Event, reference_state: ReferenceState, now_us: int) -> None:
-        """Hold at the reference's end for HOLD_S, or stop here: after lost setpoints for FS_OFFB_HOLD_S."""
+        """Hold at the reference's end for HOLD_S; otherwise stop and hold here.
+
+        The hold lasts FS_OFFB_HOLD_S if setpoints were lost, else until a command.
+        """
         if event is Event.REFERENCE_ENDED and self.reference is not None:
-            self._phases.hold_end(self.reference, now_us)
+            self._phases.hold_at_end(self.reference, now_us)
             return
         lost = event is Event.SETPOINTS_LOST
         self._phases.stop(reference_state, now_us, self.parameters["FS_OFFB_HOLD_S"] if lost else None)

@@ -114,14 +114,16 @@ class Phases:
     def blind(self) -> bool:
         """Whether velocity feedback is off.
 
-        Thrust then decreases within a second to SINK below hover, whatever the vehicle does, even on the
+        Thrust over mass then decreases within a second to `track.SINK` (m/s^2) below hover, even on the
         floor.
         """
         return self._weights[1] == 0.0
 
     @property
     def floor_force(self) -> float:
-        """Decrease of thrust over mass (m/s^2) in a level descent once the vehicle is on the floor."""
+        """Force over mass (m/s^2) that the floor takes over from the rotors once a level descent has touched
+        it.
+        """
         values = self._parameters
         return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
 
@@ -201,11 +203,11 @@ class Phases:
             reference.start_yaw,
             speed=values["TAKEOFF_SPEED"],
             hover_us=max(TICK_US, braking.seconds_us(values["HOVER_S"])),
-            upright=self._is_low(reference_state[0]),
+            climb_first=self._is_low(reference_state[0]),
         )
         self.player.start(path, now_us)
 
-    def hold_end(self, reference: track.Track, now_us: int) -> None:
+    def hold_at_end(self, reference: track.Track, now_us: int) -> None:
         """Stay at the end of the reference for HOLD_S."""
         hold_us = max(TICK_US, braking.seconds_us(self._parameters["HOLD_S"]))
         self.player.start(track.hold(reference.end_ned, reference.end_yaw, hold_us), now_us)
@@ -255,7 +257,7 @@ class Phases:
         self.player.start(descent, now_us)
 
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
-        """Descend by velocity feedback only, after FS_BLIND_S without any.
+        """Descend with velocity feedback only, and after FS_BLIND_S without position or velocity feedback.
 
         thrust_ratio: actual over nominal thrust, estimated while position was known.
         """

@@ -18,7 +18,8 @@ WINDOW_US = 500_000
 STILL_FORCE = 1.0
 """Greatest deviation of the specific force's magnitude from g (m/s^2) in a gyro calibration."""
 REST_US = 100_000
-"""Time at rest before arming: three times the rotor lag, so a vehicle that falls after a kill cannot arm."""
+"""Time at rest before arming. After a kill in the air the specific force stays near g until the thrust has
+decayed; three rotor lags outlast that."""
 REST_SPEED = 0.5
 """Greatest estimated speed (m/s) at rest. Poses tilted by 10 deg cause an apparent speed of 0.3 m/s."""
 REST_FORCE = 2.0

@@ -152,15 +152,15 @@ def transit(
     *,
     speed: float,
     hover_us: int,
-    upright: bool = False,
+    climb_first: bool = False,
 ) -> Track:
     """Return a stop, a straight path to `target`, and a hover.
 
-    stop: nodes of the stop, as `braked` returns them. upright: climb vertically to the target's height first.
-    Speeds, times and yaw are as in `climb`.
+    stop: nodes of the stop, as `braked` returns them. climb_first: climb vertically to the target's height
+    first. Speeds, times and yaw are as in `climb`.
     """
     north, east, _ = position_of(stop[-1][1])
-    corners = [(north, east, target[2]), target] if upright else [target]
+    corners = [(north, east, target[2]), target] if climb_first else [target]
     return _legs(stop, yaw, corners, yaw_end, speed=speed, hover_us=hover_us)
 
 

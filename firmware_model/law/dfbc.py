@@ -73,7 +73,9 @@ def control(  # noqa: PLR0913 (an equation of many variables)
     ff_jerk: Vector = (0.0, 0.0, 0.0),
     attitude_offset: Vector = (0.0, 0.0),
 ) -> tuple[Scalar, Vector, Vector, Vector]:
-    """Return collective thrust (N), torque (N m), rate command (rad/s), integral derivative (rad/s^3).
+    """Return collective thrust (N), torque (N m), rate command (rad/s) and derivative of the integral.
+
+    The derivative of the rate integral is in rad/s^3.
 
     Runs both loops; `outer_loop` and `rate_loop` describe the parameters.
     """

@@ -2,10 +2,10 @@
 
 Prediction is strapdown integration at the base tick. A correction extrapolates the present estimate back to
 the time of the pose, with constant acceleration and body rate, and compares it with the pose. The correction
-applies at the time of the pose and is carried forward to now: a velocity correction also moves position by
-its age, a bias correction the attitude. Errors therefore decay in the same way at any age of the poses. The
-estimator stores no history. Gains are continuous rates, multiplied by the time since the last correction, so
-a model of the loop can take the limit of many small corrections.
+applies at the time of the pose and is carried forward to now: a velocity correction also moves position, by
+the correction times the pose's age, and a bias correction turns the attitude. Errors therefore decay in the
+same way at any age of the poses. The estimator stores no history. Gains are continuous rates, multiplied by
+the time since the last correction, so a model of the loop can take the limit of many small corrections.
 """
 
 from __future__ import annotations

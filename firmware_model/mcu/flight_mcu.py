@@ -194,11 +194,13 @@ class FlightMcu:
         flight.update(now_us, self._battery_v)
         if self._agreed_swap.at_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
-        if not self._upload_has_link(now_us):  # 100 Hz telemetry pauses during an upload on the floor
+        if not self._link_reserved_for_upload(
+            now_us
+        ):  # 100 Hz telemetry pauses during an upload on the floor
             self._send_100_hz(now_us)
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
-            if flight.changed or streams.private_due(FcStatus.id, now_us):
+            if flight.changed or streams.periodic_due(FcStatus.id, now_us):
                 flight.changed = False
                 self._queue(self._status(now_us))
         if now_us >= self._heartbeat_us:
@@ -215,7 +217,7 @@ class FlightMcu:
         streams = self._services.streams
         try:
             for message in telemetry.messages_100_hz(self.flight, now_us):
-                if not streams.slowed or streams.private_due(message.id, now_us):
+                if not streams.slowed or streams.periodic_due(message.id, now_us):
                     self._queue(message)
         except (ValueError, OverflowError):
             self.unsendable += 1
@@ -285,7 +287,7 @@ class FlightMcu:
     def _disarmed(self) -> bool:
         return self.flight.state in (State.BOOT, State.STANDBY)
 
-    def _upload_has_link(self, now_us: int) -> bool:
+    def _link_reserved_for_upload(self, now_us: int) -> bool:
         return self._disarmed() and self._upload.in_progress(now_us)
 
     def _uploaded(self, event: ReceiverEvent) -> None:

@@ -10,7 +10,7 @@ from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.swap import agree_swap
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.messages import UploadResult
-from trimtab.protocol.telemetry import TICK_US, whole_tick
+from trimtab.protocol.telemetry import TICK_US, unwrap_tick
 from trimtab.protocol.upload import SwapAnswer
 
 
@@ -27,7 +27,7 @@ class AgreedSwap:
         self.at_us = NEVER_US
         self._flight = flight
         self._parameters = parameters
-        self._following: track.Track | None = None
+        self._next_track: track.Track | None = None
 
     def agree(self, kind: int, data: bytes, at_tick: int, now_us: int) -> SwapAnswer:
         """Return the answer to a swap request, which cancels any earlier agreement."""
@@ -38,26 +38,26 @@ class AgreedSwap:
         if flight.state is not State.TRACKING or live is None or start_us is None:
             return SwapAnswer(result=UploadResult.BUSY)
         blob = Reference.from_bytes(data)
-        following = track.track(blob.nodes_ned(), blob.yaw_nodes())
-        at_us = TICK_US * whole_tick(at_tick, now_us // TICK_US)
+        next_track = track.track(blob.nodes_ned(), blob.yaw_nodes())
+        at_us = TICK_US * unwrap_tick(at_tick, now_us // TICK_US)
         answer = agree_swap(
             live,
             blob,
-            following,
+            next_track,
             at_us=at_us - start_us,
             ahead_us=at_us - now_us,
             limits=self._parameters.limits,
         )
         if answer.result is UploadResult.OK:
-            self._following, self.at_us, flight.changed = following, at_us, True
+            self._next_track, self.at_us, flight.changed = next_track, at_us, True
         return answer
 
     def run(self) -> bool:
         """Track the agreed reference from its tick on; return False if the vehicle tracks no reference."""
         at_us, self.at_us = self.at_us, NEVER_US
-        if self._flight.state is not State.TRACKING or self._following is None:
+        if self._flight.state is not State.TRACKING or self._next_track is None:
             return False
-        self._flight.swap(self._following, at_us)
+        self._flight.swap(self._next_track, at_us)
         return True
 
     def call_off(self) -> None:

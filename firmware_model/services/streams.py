@@ -48,7 +48,7 @@ STREAMS: Mapping[int, Stream] = {
 }
 """Streams by message id."""
 
-PRIVATE_INTERVALS_US: Mapping[int, int] = {
+PERIODIC_INTERVALS_US: Mapping[int, int] = {
     m.FcControl.id: 10_000,
     m.FcEstimate.id: 10_000,
     m.FcObserver.id: 10_000,
@@ -57,7 +57,7 @@ PRIVATE_INTERVALS_US: Mapping[int, int] = {
 }
 """Shortest intervals (us) of the messages to every host, by message id. A station may request longer ones."""
 PRIVATE_INTERVAL_MAX_US = 1_000_000
-"""Longest interval of the messages in PRIVATE_INTERVALS_US."""
+"""Longest interval of the messages in PERIODIC_INTERVALS_US."""
 INTERVAL_MAX_US = 1_800_000_000
 """Longest interval of other messages: it fits into MESSAGE_INTERVAL."""
 
@@ -86,7 +86,7 @@ class Streams:
     Attributes
     ----------
     slowed
-        Intervals (us) of the messages in PRIVATE_INTERVALS_US that were lengthened, by message id.
+        Intervals (us) of the messages in PERIODIC_INTERVALS_US that were lengthened, by message id.
     """
 
     def __init__(
@@ -150,7 +150,7 @@ class Streams:
                 self._send(self._make(number, now_us))
             self._next_us = min(self._next_us, self._due_us[number])
 
-    def private_due(self, number: int, now_us: int) -> bool:
+    def periodic_due(self, number: int, now_us: int) -> bool:
         """Return whether a message that is due by its usual interval is also due by its requested one."""
         interval_us = self.slowed.get(number)
         if interval_us is None:
@@ -162,8 +162,8 @@ class Streams:
 
     def interval_us(self, number: int) -> int:
         """Return the present interval (us) of a message: -1 if it is not sent, 0 if it is unknown."""
-        if number in PRIVATE_INTERVALS_US:
-            return self.slowed.get(number, PRIVATE_INTERVALS_US[number])
+        if number in PERIODIC_INTERVALS_US:
+            return self.slowed.get(number, PERIODIC_INTERVALS_US[number])
         stream = STREAMS.get(number)
         if stream is None:
             return 0
@@ -186,8 +186,8 @@ class Streams:
     def _request(self, number: int, interval_us: int) -> None:
         """Set an interval (us) within its bounds. 0 restores the default, -1 stops the message."""
         self._due_us.pop(number, None)
-        if number in PRIVATE_INTERVALS_US:
-            if interval_us == 0 or 0 < interval_us <= PRIVATE_INTERVALS_US[number]:
+        if number in PERIODIC_INTERVALS_US:
+            if interval_us == 0 or 0 < interval_us <= PERIODIC_INTERVALS_US[number]:
                 self.slowed.pop(number, None)
             else:
                 longest_us = PRIVATE_INTERVAL_MAX_US
@@ -200,7 +200,7 @@ class Streams:
 
     def _set_interval(self, message: m.CommandLong, now_us: int) -> int:
         number, interval_us = message.param1, message.param2
-        if number not in STREAMS and number not in PRIVATE_INTERVALS_US:
+        if number not in STREAMS and number not in PERIODIC_INTERVALS_US:
             return _UNSUPPORTED
         if not (interval_us == _OFF or 0 <= interval_us < math.inf):  # also rejects NaN
             return _DENIED

@@ -1,7 +1,7 @@
 """Schedule of the chunks of an upload: selective repeat at the pace of the channel.
 
-A chunk counts as lost once the vehicle holds a chunk that was sent at least `_REORDER` later. Only chunks
-that were sent once are evidence: for others it is unknown which copy arrived.
+A chunk counts as lost once the vehicle holds a chunk that was sent at least `_REORDER` chunks later. Only
+chunks that were sent once are evidence: for others it is unknown which copy arrived.
 
 Chunks are sent at the pace of the channel, not as fast as the serial line accepts them. This keeps the
 radio's queue short: a status soon reveals losses, and a repeated chunk does not wait behind others. On a link

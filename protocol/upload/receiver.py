@@ -205,7 +205,7 @@ class UploadReceiver:
         return UploadResult.OK, self._machine.take_events()
 
     def advance(self, now_us: int) -> list[ReceiverEvent]:
-        """Return the events not yet returned."""
+        """Return the events not yet returned; none depends on the time."""
         return self._machine.take_events()
 
     def send(self, now_us: int) -> list[Message]:
@@ -264,7 +264,9 @@ class UploadReceiver:
 
     def _commit_at_event(self, at_tick: int, now_us: int) -> Event:
         if self.state not in _STAGED or self.at_tick == at_tick:
-            return Event.COMMIT_AT  # not staged: the table answers; or a repeated request
+            return (
+                Event.COMMIT_AT
+            )  # not asked: without a staged blob the table answers; a repeated request is agreed already
         blob = self._current.blob
         self._machine.swap_answer = self._agree(blob.kind, self._current.data(), at_tick, now_us)
         if self._machine.swap_answer.result is not UploadResult.OK:

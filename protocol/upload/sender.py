@@ -31,10 +31,10 @@ INTERVAL_US = 2_150
 """Least time between two chunks: one slot of the radio plus a margin for the return traffic."""
 _REPEAT_US = 10_000
 """Time after which an unanswered announcement or commit is repeated."""
-_QUERY_US = 10_000
+_ANNOUNCEMENT_US = 10_000
 """The first announcement takes its number from the clock in this unit, so a restarted host begins with
 another number."""
-_QUERIES = 255
+_ANNOUNCEMENTS = 255
 _RESTARTS_MAX = 8
 _OVERDUE_MIN_US = 50_000
 _OVERDUE_MAX_US = 500_000
@@ -111,7 +111,7 @@ class UploadSender:
         self._patience_us = patience_us
         self._tag = tag_of(self.digest)
         self._schedule = ChunkSchedule(self.chunks, window=window, interval_us=interval_us)
-        self._query = 0
+        self._announcement = 0
         self._answer_pending = False
         self._overdue = 0
         self._waiting_since_us: int | None = None  # None before the first send
@@ -157,7 +157,7 @@ class UploadSender:
             self.verdict = _read_verdict(message)
             event = self._staged() if self.verdict.ok else Event.REFUSAL_VERDICT
         elif isinstance(message, m.UploadStatus) and message.tag == self._tag:
-            if self.state is SenderState.OPENING and message.query != self._query:
+            if self.state is SenderState.OPENING and message.query != self._announcement:
                 return True  # an answer to an earlier announcement
             event = self._status_event(message)
         else:
@@ -185,7 +185,7 @@ class UploadSender:
         """Return the messages that are due; the first call announces the blob."""
         if self._waiting_since_us is None:
             self._waiting_since_us = self._progress_us = now_us
-            self._query = now_us // _QUERY_US
+            self._announcement = now_us // _ANNOUNCEMENT_US
             self._announce(None, now_us)
         out, self._out = self._out, []
         if self.state is SenderState.SENDING:
@@ -254,9 +254,11 @@ class UploadSender:
         self._schedule.note_announcement()
         if not self._answer_pending:  # a repetition keeps its number: any answer to it is valid
             self._answer_pending = True
-            self._query = self._query % _QUERIES + 1
+            self._announcement = self._announcement % _ANNOUNCEMENTS + 1
         size, digest = len(self._blob), self.digest
-        self._out.append(m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._query, digest))
+        self._out.append(
+            m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._announcement, digest)
+        )
 
     def _restart(self, message: Message | None, now_us: int) -> None:
         self.restarts += 1
@@ -271,11 +273,11 @@ class UploadSender:
     def _note_held(self, message: Message | None, now_us: int) -> None:
         if not isinstance(message, m.UploadStatus) or message.base > self.chunks:
             return
-        complete = self._answer_pending and message.query == self._query
-        if complete:
+        lists_all = self._answer_pending and message.query == self._announcement
+        if lists_all:
             self._answer_pending = False
         bitmap = decode_bitmap(bytes(message.bitmap), message.base)
-        if self._schedule.note_held(message.base, bitmap, now_us, complete=complete):
+        if self._schedule.note_held(message.base, bitmap, now_us, complete=lists_all):
             self._progress_us = now_us
 
     def _chunk(self, index: int) -> Message:
@@ -305,7 +307,7 @@ class UploadSender:
         self._fail(
             "the vehicle is armed or flying; it swaps a blob only at an agreed tick"
             if at_once
-            else "the vehicle flies no reference that the upload could follow"
+            else "the vehicle is not tracking a reference, so there is nothing to swap"
         )
 
     def _fail_silence(self, message: Message | None, now_us: int) -> None:

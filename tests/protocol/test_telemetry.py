@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from trimtab.protocol import messages as m
 from trimtab.protocol import telemetry
 from trimtab.protocol.codec import Codec
-from trimtab.protocol.telemetry import ControlInterval, IntervalDecoder, whole_tick
+from trimtab.protocol.telemetry import ControlInterval, IntervalDecoder, unwrap_tick
 
 
 class Vehicle:
@@ -199,4 +199,4 @@ def test_estimate_survives_the_wire() -> None:
 @pytest.mark.parametrize("now", [0, 5, 2**31, 2**32 - 1, 2**32, 3 * 2**32 + 7])
 @pytest.mark.parametrize("ahead", [-3, 0, 4000, 2**31 - 1])
 def test_whole_tick_is_the_nearest_with_those_bits(now, ahead):
-    assert whole_tick((now + ahead) % 2**32, now) == now + ahead
+    assert unwrap_tick((now + ahead) % 2**32, now) == now + ahead

@@ -283,7 +283,7 @@ def test_tick_is_refused_on_the_floor(make_session, flown_blob):
     upload = put_at(session, flown_blob, 5_000)
     assert (upload.state.name, upload.reason) == (
         "FAILED",
-        "the vehicle flies no reference that the upload could follow",
+        "the vehicle is not tracking a reference, so there is nothing to swap",
     )
 
 

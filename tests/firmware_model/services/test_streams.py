@@ -9,7 +9,7 @@ from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.services.streams import (
     GROUPS,
     INTERVAL_MAX_US,
-    PRIVATE_INTERVALS_US,
+    PERIODIC_INTERVALS_US,
     STATION_US,
     STREAMS,
 )
@@ -214,9 +214,9 @@ def test_own_messages_can_be_slowed_but_neither_sped_up_nor_stopped(make_line, k
     line.run(2.0)
     assert len(line.received(kind)) == pytest.approx(4, abs=1)
     for wish, interval_us in (
-        (1.0, PRIVATE_INTERVALS_US[kind.id]),
+        (1.0, PERIODIC_INTERVALS_US[kind.id]),
         (-1.0, 1_000_000),
-        (0.0, PRIVATE_INTERVALS_US[kind.id]),
+        (0.0, PERIODIC_INTERVALS_US[kind.id]),
     ):
         line.command(SET, float(kind.id), wish, source=STATION)
         line.command(GET, float(kind.id), source=STATION)
