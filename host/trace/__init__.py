@@ -8,8 +8,8 @@ The packages and modules, from data to answer; `run` calls them:
 - `segment_fit`: fit sets of effects to command-driven segments with free initial states.
 - `flight_fit`: fit sets of effects to whole flights in closed loop; compare repeat flights.
 - `selection`: search with one of the two fits and select a set.
-- `residual`: what a model leaves unexplained: of the selected set for the verdict; of the model without
-  effects for the description and the network.
+- `residual`: what a model leaves unexplained. The verdict uses the residual of the selected set and that of
+  the model without effects; the description and the network use only the latter.
 - `gathering`, `decision`: the numbers that the verdict depends on, the rules, and the verdict with its
   findings.
 - `uncertainty`, `prediction`, `next_flight`: intervals, errors on held-out flights, the proposed next flight.

@@ -20,7 +20,7 @@ from trimtab.host.trace.prediction import (
     predict_segments,
 )
 from trimtab.host.trace.result import Named, Value
-from trimtab.host.trace.segment_fit.fit import unknowns_only
+from trimtab.host.trace.segment_fit.fit import theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis
 
@@ -159,7 +159,7 @@ def held_out_errors(
             return predict_flights(logs.held_out, whole, effects)
         return predict_segments(logs.held_out, segment_model, values)
 
-    before = predict(unknowns_only(space, diagnosis.null_fit), None)
+    before = predict(theta_without_effects(space, diagnosis.null_fit), None)
     if not added:
         return before, before, before
     theta_scaled = diagnosis.selected.theta_scaled

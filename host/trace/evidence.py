@@ -50,7 +50,7 @@ class DisturbanceVariances:
         return np.exp(0.5 * np.array(logs))
 
     def covariance(self, bins: int) -> np.ndarray:
-        """Return the covariance (6 bins, 6 bins) of the disturbance, ordered by bin, then component."""
+        """Return the covariance (6 * bins, 6 * bins) of the disturbance, ordered by bin, then component."""
         return np.kron(correlation(bins), np.diag(self.sigma() ** 2))
 
 
@@ -64,7 +64,7 @@ def correlation(bins: int) -> np.ndarray:
 class Linearisation:
     """Grams of [r | S | L | Z] of every segment at one point, with initial states projected out.
 
-    gram: (segments, 1 + P + K + 6 bins, same). flight (segments,): index of the flight of each segment.
+    gram: (segments, 1 + P + K + 6 * bins, same). flight (segments,): index of the flight of each segment.
     theta_scaled (P,): scaled parameters. nuisances (flights, K): sensor and flight errors that are constant
     over a flight.
     """
@@ -86,7 +86,7 @@ class Linearisation:
 
     @cached_property
     def by_innovations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Grams Z' Z (segments, 6 bins, 6 bins) and Z' [r | S | L] for the innovations of the disturbance.
+        """Grams Z' Z (segments, 6 * bins, 6 * bins) and Z' [r | S | L] of the innovations.
 
         The innovations of the bins are independent, so their covariance is diagonal for every process.
         """
@@ -118,7 +118,7 @@ class Prior:
 
 
 @dataclass(frozen=True, kw_only=True)
-class Whitened:
+class MarginalGrams:
     """Grams of [r | S] with the disturbance and the nuisances of the flights integrated out.
 
     gram (1 + P, 1 + P): sum over all flights. log_det: log determinant of the noise covariance with the
@@ -133,7 +133,7 @@ class Whitened:
     nuisance_gram: np.ndarray
 
 
-def whitened(lin: Linearisation, process: DisturbanceVariances, prior: Prior) -> Whitened:
+def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Prior) -> MarginalGrams:
     """Return the Grams with disturbance and nuisances integrated out.
 
     The noise covariance is I + Z Q Z', with Q the covariance of `process`; Woodbury's identity inverts it.
@@ -157,10 +157,10 @@ def whitened(lin: Linearisation, process: DisturbanceVariances, prior: Prior) ->
     gram = flight_grams.sum(0)
     gram[0, 0] += float((precision * lin.nuisances**2).sum())
     log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
-    return Whitened(gram=gram, log_det=log_det, flight_grams=flight_grams, nuisance_gram=flights)
+    return MarginalGrams(gram=gram, log_det=log_det, flight_grams=flight_grams, nuisance_gram=flights)
 
 
-def nuisance_step(lin: Linearisation, white: Whitened, prior: Prior, step: np.ndarray) -> np.ndarray:
+def nuisance_step(lin: Linearisation, white: MarginalGrams, prior: Prior, step: np.ndarray) -> np.ndarray:
     """Return the step (flights, K) of the nuisances if the scaled parameters move by `step` (P,)."""
     m = 1 + lin.parameters
     precision = 1.0 / prior.nuisance_sigma**2

@@ -11,7 +11,7 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
 from trimtab.host.trace.residual.unexplained import unexplained_residual
 from trimtab.host.trace.search import Names, most_probable
-from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, unknowns_only
+from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis, selected_set_is_judged
 
@@ -44,7 +44,7 @@ def gather_inputs(
     after, before = diagnosis.repeatability
     residual = unexplained_residual(*_remainder(segment_model, diagnosis), repeat_flights, axial=axial)
     without = unexplained_residual(
-        disturbance_left(null_fit, unknowns_only(segment_model.space, null_fit)),
+        disturbance_left(null_fit, theta_without_effects(segment_model.space, null_fit)),
         null_fit.data,
         repeat_flights,
         axial=axial,

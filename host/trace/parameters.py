@@ -29,8 +29,8 @@ class Column:
     Attributes
     ----------
     owner, key, unit
-        Effect, or adjustment that is no effect (such as the thrust curve), that the parameter belongs to; the
-        key of the parameter there; its unit.
+        Owner: the effect that the parameter belongs to, or an adjustment without an effect, such as the
+        thrust curve. Key within the owner. Unit.
     neutral
         Value that changes nothing.
     scale

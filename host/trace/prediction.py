@@ -239,7 +239,7 @@ def _fitted_nuisances(
         data = data.with_x0(grams.x0)
         lin = linearise.project(grams, data, theta_scaled, nuisances)
         process = evidence.fit_process(lin, segment_model.space.prior, (), process)
-        white = evidence.whitened(lin, process, segment_model.space.prior)
+        white = evidence.marginal_grams(lin, process, segment_model.space.prior)
         nuisances = nuisances + evidence.nuisance_step(
             lin, white, segment_model.space.prior, np.zeros(len(theta_scaled))
         )

@@ -21,7 +21,7 @@ from trimtab.host.trace.prediction import noise_floor
 from trimtab.host.trace.residual.description import describe
 from trimtab.host.trace.residual.network import train_network
 from trimtab.host.trace.result import Trace
-from trimtab.host.trace.segment_fit.fit import disturbance_left, unknowns_only
+from trimtab.host.trace.segment_fit.fit import disturbance_left, theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import select_effects
 from trimtab.host.vehicle import Vehicle
@@ -59,7 +59,8 @@ def run(
     provenance
         Recorded in the model file.
     network
-        Whether to train a network on the residual if the cause is outside the library.
+        Whether to train a network on the residual if the cause is outside the library and all logs hold a
+        reference and the control law.
     on_progress
         Called with a text as each step begins or ends.
 
@@ -80,17 +81,19 @@ def run(
     decision = decide(
         gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking_s, extent_m)
     )
-    added, null_fit = decision.effects_added, diagnosis.null_fit
-    named = named_effects(parameters, diagnosis, decision.aliases) if added else ()
-    theta_scaled = diagnosis.selected.theta_scaled if added else unknowns_only(parameters, null_fit)
-    model = model_of(parameters, diagnosis, theta_scaled, flights, named, added, provenance)
+    within_library, null_fit = decision.within_library, diagnosis.null_fit
+    named = named_effects(parameters, diagnosis, decision.aliases) if within_library else ()
+    theta_scaled = (
+        diagnosis.selected.theta_scaled if within_library else theta_without_effects(parameters, null_fit)
+    )
+    model = model_of(parameters, diagnosis, theta_scaled, flights, named, within_library, provenance)
     on_progress("predicting the held-out flights")
-    before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, added, model, effects)
+    before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, within_library, model, effects)
     next_flight = description = learned = None
     if decision.to_separate is not None and manoeuvres is not None:
         on_progress("searching for the next flight")
         next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
-    if not added:
+    if not within_library:
         on_progress("describing the unexplained disturbance")
         disturbance = disturbance_left(null_fit, theta_scaled)
         description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)

@@ -135,7 +135,7 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         fits[promising] = fitter.fit(promising, selected)
         on_progress(f"{', '.join(promising)} fitted")
         selected, scores = _select(fitter, fits)
-    # Drop all sets with an effect that no fit supports because it is within tolerance or at its bounds.
+    # Drop all sets that contain an effect which occurs in no supported fit.
     supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
     unsupported = {name for names in fits for name in names} - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
@@ -199,18 +199,18 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
 def _is_supported(fitter: Fitter[F], fit: F) -> bool:
     """Return whether the data supports the set.
 
-    Every effect must exceed its tolerance and be off its bounds: an effect at a bound explains something
+    Every effect must exceed its spike and be off its bounds: an effect at a bound explains something
     else. If it acts through another effect, that one must be large enough. Wind that acts through a
-    negligible drag gives about 0.01 m/s^2, no more than slow turbulence, so the two could not be
+    negligible drag gives about 0.01 m/s^2, no more than slow turbulence, so wind and turbulence could not be
     distinguished.
     """
     space = fitter.space
     if any(space.at_bound(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
-    carriers = {name for name in fit.effects if size[name] > RULES.carrier_tolerances}
+    carriers = {name for name in fit.effects if size[name] > RULES.carrier_spikes}
     required = (space.effect(name).requires_any for name in fit.effects)
-    return all(tolerances > RULES.present_tolerances for tolerances in size.values()) and all(
+    return all(tolerances > RULES.present_spikes for tolerances in size.values()) and all(
         not any_of or carriers & set(any_of) for any_of in required
     )
 

@@ -29,7 +29,13 @@ from trimtab.host.trace.search import (
     search,
     sizes,
 )
-from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter, at_parameters, refit, unknowns_only
+from trimtab.host.trace.segment_fit.fit import (
+    SegmentFit,
+    SegmentFitter,
+    at_parameters,
+    refit,
+    theta_without_effects,
+)
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.uncertainty import inflated_flight_covariance, inflated_segment_covariance
 
@@ -137,7 +143,7 @@ def _from_segments(segment_model: SegmentModel, null_fit: SegmentFit, on_progres
         result.selected, covariance=inflated_segment_covariance(segment_model.space, result.selected)
     )
     prior = segment_model.space.prior
-    gram = evidence.whitened(selected.lin, selected.process, prior).flight_grams.sum(0)
+    gram = evidence.marginal_grams(selected.lin, selected.process, prior).flight_grams.sum(0)
     return Diagnosis(
         selected=selected,
         null_fit=null_fit,
@@ -170,7 +176,7 @@ def _from_flights(
     on_progress("comparing repeat flights")
     result = without_payload_artefacts(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
-    present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_tolerances)
+    present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_spikes)
     if present != fit.effects:  # this fit determines sizes more accurately than the search
         result = replace(result, selected=fitter.fit(present, result.selected))
         fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
@@ -191,7 +197,9 @@ def _from_flights(
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
         repeatability=(
             repeatability_of(loop, judged.theta_scaled, autoregression_order, repeat_flights),
-            repeatability_of(loop, unknowns_only(space, null_fit), autoregression_order, repeat_flights),
+            repeatability_of(
+                loop, theta_without_effects(space, null_fit), autoregression_order, repeat_flights
+            ),
         ),
     )
 
@@ -212,7 +220,7 @@ def without_payload_artefacts(
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
     tie_nats = RULES.tie_nats
     if residual is not None:
-        tie_nats = max(tie_nats, RULES.memory_fault_share * residual.attainable_nats(RULES))
+        tie_nats = max(tie_nats, RULES.least_gain_beside_memory * residual.attainable_nats(RULES))
     names = most_parsimonious(result, tie_nats)
     if len(names) >= len(selected.effects):
         return result

@@ -35,7 +35,7 @@ def inflated_segment_covariance(space: ParameterSpace, fit: SegmentFit) -> np.nd
     flights than that. `Column.discrepancy` is added in squares.
     """
     prior = space.prior
-    grams = evidence.whitened(_in_pieces(fit.lin), fit.process, prior).flight_grams
+    grams = evidence.marginal_grams(_in_pieces(fit.lin), fit.process, prior).flight_grams
     widened = jackknife_by_flight(grams, fit.lin.theta_scaled, prior.precision(fit.effects))
     discrepancy = np.array([column.discrepancy for column in space.columns])
     return fit.covariance * np.outer(widened, widened) + np.diag(discrepancy**2)

@@ -25,7 +25,10 @@ from trimtab.host.trace.decision.rules import RULES
 
 @dataclass(frozen=True, kw_only=True)
 class Rate:
-    """Rate of a topic: median, and in its worst second. sampling: "averaged" over intervals or "sampled"."""
+    """Rate of a topic: median, and in its worst second.
+
+    sampling: "averaged" if a message holds a mean over an interval, "sampled" if an instantaneous value.
+    """
 
     topic: str
     median_hz: float
@@ -151,7 +154,10 @@ def _gaps(s: Signals) -> list[UnusedStretch]:
 
 
 def _jumps(flight: Flight, s: Signals) -> list[UnusedStretch]:
-    """Return the stretches around clock jumps: steps of the least pose delay, or overlapping intervals."""
+    """Return the stretches around clock jumps.
+
+    The smallest pose delay (arrival minus time stamp) jumps there, or command intervals overlap.
+    """
     jumps = []
     assert flight.mocap is not None
     t, delay = s.pose_s, (flight.mocap.t_arrival_us - flight.mocap.t_us) * 1e-6

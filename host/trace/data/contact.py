@@ -22,8 +22,8 @@ def ground_contact(data: FlightData) -> list[UnusedStretch]:
     """Return the stretches in which the floor carries the vehicle or something hits it.
 
     The floor may carry the vehicle in two cases. Either the vehicle is close above its resting place. Or it
-    is close above the lowest place of the log, is not falling, and its specific force exceeds its rotor
-    thrust by more than in free flight. Without recorded inputs only impacts are detected.
+    is close above the lowest place of the log, is not falling, and the ratio of its specific force to its
+    rotor thrust exceeds that of free flight. Without recorded inputs only impacts are detected.
     """
     flight, s = data.flight, data.signals
     t = np.arange(s.pose_s[0], s.pose_s[-1] - _WINDOW_S, _WINDOW_STEP_S)
@@ -64,8 +64,9 @@ def _window_means(
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """Return nominal thrust over mass, specific force along the thrust, and vertical speed in each window.
 
-    Returns three arrays (n,): m/s^2, m/s^2 and m/s, down positive. The accelerometer gives the force; without
-    one, the curvature of the positions does. Means are NaN where samples cover too little of a window.
+    Returns three arrays (n,). Thrust and force (m/s^2) are positive along the thrust, the speed (m/s)
+    downwards. The accelerometer gives the force; without one, the curvature of the positions does. Means are
+    NaN where samples cover too little of a window.
 
     Parameters
     ----------

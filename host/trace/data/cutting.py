@@ -20,8 +20,9 @@ DT_S = 0.01
 """Step of the grid."""
 SEGMENT_S = 0.6
 """Length of a segment."""
-LAGS = 5
-"""Run-up of the rotors before a segment, in nominal motor lags."""
+RUN_UP_LAGS = 5
+"""Time before a segment over which commands are simulated, so that rotor thrusts are right at its start; in
+nominal motor lags."""
 
 
 def segments_of(
@@ -102,7 +103,7 @@ def _grid(data: FlightData, segment_s: float) -> _Grid:
     """Return the measurements of `data` on the grid of its segments."""
     s = data.signals
     steps = round(segment_s / DT_S)
-    run_up = max(1, int(np.ceil(LAGS * data.flight.vehicle.motor_lag_s / DT_S)))
+    run_up = max(1, int(np.ceil(RUN_UP_LAGS * data.flight.vehicle.motor_lag_s / DT_S)))
     begin = max(s.span_s[0], s.pose_s[0] + (run_up + 2) * DT_S, s.input_s[0, 0] + (run_up + 2) * DT_S)
     count = int((s.span_s[1] - begin) / segment_s)
     t_s = begin + DT_S * np.arange(-run_up, count * steps + 1)

@@ -30,7 +30,8 @@ class TraceData:
     held_out
         Flights that only the prediction error is computed on.
     unknown
-        What any of the logs does not determine, as words of the metadata entry `unknown`, such as "torque".
+        What at least one of the logs does not determine, as words of the metadata entry `unknown`, such as
+        "torque".
     drive
         Data that can drive a prediction of all flights.
     repeat_flights
@@ -109,8 +110,8 @@ def drive_of(flights: Sequence[Flight]) -> Drive:
 def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     """Return the pairs of indices of repeat flights.
 
-    Repeat flights fly the same reference with the same feed-forward and the same firmware parameters. Another
-    control law tracks the reference differently, so other model errors would repeat.
+    Repeat flights fly the same reference with the same feed-forward and the same firmware parameters. Under
+    another control law the vehicle flies differently, so the model errors of two flights differ too.
     """
     keys = [
         (flight.reference_id, flight.metadata.get("feedforward_id"), flight.firmware_parameters)

@@ -11,7 +11,7 @@ BIN_S = 0.1
 """Length of a bin of the disturbance."""
 
 PATH_S = 0.02
-"""Step of the measured paths along which the states of effects are integrated."""
+"""Step of the measured paths. States that effects add (`Effect.memory`) are integrated along them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -44,8 +44,8 @@ class Segments:
     sigma
         Standard deviations (S, 4): position m, attitude rad, body rate rad/s, specific force m/s^2.
     disturbance_frd
-        Disturbance (S, bins, 6) of the linearisation: specific force m/s^2, then angular acceleration
-        rad/s^2. It keeps roll-outs close to the measurements whatever the model lacks.
+        Disturbance (S, bins, 6) about which roll-outs are linearised: specific force m/s^2, then angular
+        acceleration rad/s^2. It keeps roll-outs close to the measurements whatever the model lacks.
     path_start_s
         Start (S,) of each segment on the measured path of its flight.
     paths
@@ -101,7 +101,7 @@ class Segments:
         return replace(self, x0=x0)
 
     def with_w(self, w: np.ndarray) -> Segments:
-        """Return the same segments with another disturbance w (S, bins, 6), FRD, of the linearisation."""
+        """Return the same segments, linearised about another disturbance w (S, bins, 6), FRD."""
         return replace(self, disturbance_frd=w)
 
     def take(self, index: Any) -> Segments:

@@ -20,10 +20,10 @@ from trimtab.host.trace.sentences import no_tracking, too_few_poses, too_few_tra
 from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.allocation import allocation_inverse
 
-WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
+UNKNOWN_WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
 """What a log of only poses does not determine."""
 
-TOO_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
+UNKNOWN_IF_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
 """What commands do not determine if their sampling interval is longer than the motor lag."""
 
 
@@ -78,9 +78,9 @@ class FlightData:
 def signals(flight: Flight) -> Signals:
     """Return the signals of a flight.
 
-    If no inputs were recorded, the commands are constant at hover thrust, and the nuisances absorb the error.
-    If the torque is unknown and no gyro was logged, the body rate comes from the attitudes of the poses.
-    Raises LogsRefused if the log has too few poses or no tracking phase.
+    If no inputs were recorded, the commands are constant at hover thrust, and the process disturbance absorbs
+    the error. If the torque is unknown and no gyro was logged, the body rate comes from the attitudes of the
+    poses. Raises LogsRefused if the log has too few poses or no tracking phase.
     """
     if flight.mocap is None or len(flight.mocap) < RULES.min_poses:
         raise LogsRefused(Code.TOO_FEW_POSES, too_few_poses(flight.path))
@@ -222,12 +222,12 @@ def averaged(edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray) -> 
 
 
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
-    """Return what any of the logs declares unknown or does not determine by its recorded inputs."""
+    """Return what at least one of the logs declares unknown or does not determine by its recorded inputs."""
     declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
     if any(without_inputs(flight) for flight in flights):
-        declared |= WITHOUT_INPUTS
+        declared |= UNKNOWN_WITHOUT_INPUTS
     if any(_too_slow(flight) for flight in flights):
-        declared |= TOO_SLOW
+        declared |= UNKNOWN_IF_SLOW
     return frozenset(declared)
 
 

@@ -9,7 +9,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 
 Names = tuple[str, ...]
 Aliases = Mapping[str, Mapping[str, float]]
-"""Probability of each alternative, by the selected effect that it would replace."""
+"""For each selected effect: the effects that could replace it, with their probabilities."""
 
 
 def aliases_of(
@@ -29,10 +29,10 @@ def _substitutes(
     space: ParameterSpace,
     rules: Rules,
 ) -> dict[str, float]:
-    """Return the probability of each unselected candidate in place of `name`, if it is not excluded.
+    """Return the unselected candidates that may stand in place of `name`, with their probabilities.
 
-    It is the posterior probability of the sets that contain the candidate but not `name`. A candidate is
-    excluded unless it exceeds RULES.alias_probability.
+    It is the posterior probability of the sets that contain the candidate but not `name`. Only those above
+    RULES.alias_probability are returned.
     """
     total = sum(posterior_weights.values())
     probabilities = {}
@@ -76,9 +76,9 @@ def with_undetectable(
 def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> dict[str, dict[str, float]]:
     """Return `aliases` together with the known aliases among the selected effects themselves.
 
-    Used if only segments were fitted or there are no repeat flights. No form is exact, so a known alias may
-    have been selected only because it explains the form error of another selected effect. An effect that acts
-    through another one is no alias of it.
+    Used if only segments were fitted or there are no repeat flights. No effect's equation is exact, so a
+    stated alias may have been selected only because it explains the error of another selected effect's
+    equation. An effect that acts through another one is no alias of it.
     """
     extended = {name: dict(others) for name, others in aliases.items()}
     for name in aliases:

@@ -44,8 +44,8 @@ class DecisionInputs:
     by_segments
         Whether the set was selected from segments, not from whole flights in closed loop.
     residual, residual_without
-        Unexplained residual of the selected set, and of the model without effects. If the empty set is
-        selected although it is improbable, the first is that of the most probable set.
+        Unexplained residual of the selected set, and of the model without effects. If the search selected no
+        effect although the posterior makes that improbable, `residual` is that of the most probable set.
     disturbance_sigma
         Standard deviations (6,) of the unexplained disturbance of the selected set: force m/s^2, then angular
         acceleration rad/s^2, FRD.
@@ -96,7 +96,7 @@ class Decision:
     verdict, findings
         The verdict, and the comparisons that led to it.
     aliases
-        Probability of each alternative, by the selected effect that it would replace.
+        For each selected effect: the effects that could replace it, with their probabilities.
     possible
         Probability of further effects that the data does not exclude.
     to_separate
@@ -114,7 +114,7 @@ class Decision:
     residual: UnexplainedResidual
 
     @property
-    def effects_added(self) -> bool:
+    def within_library(self) -> bool:
         """Whether the selected effects go into the model."""
         return self.verdict is not Verdict.OUTSIDE_LIBRARY
 
@@ -172,7 +172,7 @@ def _verdict(
 
 
 def is_null_open(null_probability: float, rules: Rules = RULES) -> bool:
-    """Return whether "no effect is missing" is not excluded: its probability exceeds 1/odds."""
+    """Return whether it remains possible that the model lacks nothing: its probability exceeds 1/odds."""
     return null_probability > rules.alias_probability
 
 
@@ -192,8 +192,8 @@ def _aliases(inputs: DecisionInputs, too_little: bool, rules: Rules) -> dict[str
 def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], UnexplainedResidual]:
     """Return the findings that put the cause outside the library, and the residual that they refer to.
 
-    If the model without effects has findings too, return these and its residual: the selected effects were
-    fitted to a cause that they do not describe.
+    If the residual of the model without effects exceeds its bounds too, return the findings on it and that
+    residual: the selected effects were fitted to a cause that they do not describe.
     """
     bounds = residual_bounds(inputs.residual_without, has_memory=inputs.has_memory, rules=rules)
     findings = residual_findings(inputs.residual, bounds, rules)
@@ -307,7 +307,7 @@ def hidden(
 ) -> list[Finding]:
     """Return a finding for each hidden effect.
 
-    At typical size, these flights would not show such an effect apart from all other parameters.
+    At typical size, these flights could not distinguish such an effect from the other parameters.
     """
     named = {space.effect(name).name for name in selected}
     bound = rules.detectable_sigma

@@ -76,7 +76,7 @@ class Code(StrEnum):
 
 
 CHANNEL_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
-"""Units of the residual force and torque, which are over mass and inertia."""
+"""Units of the residual force and torque, which are divided by mass and inertia."""
 
 OUTSIDE_LIBRARY_CODES = frozenset(
     {

@@ -39,19 +39,19 @@ def no_effect_bounds(rules: Rules) -> ResidualBounds:
 def residual_bounds(without: UnexplainedResidual, *, has_memory: bool, rules: Rules) -> ResidualBounds:
     """Return the bounds on the residual of the selected set.
 
-    No form is exact, so the bounds grow with the residual without effects, on which the selected set must
-    improve.
+    No effect's equation is exact, so the bounds grow with the residual without effects, on which the selected
+    set must improve.
 
     without: residual of the model without effects. has_memory: whether an effect with states of its own is
     selected.
     """
     share, position_m = 0.0, math.inf
     if without.flight_repeat is not None:
-        share = rules.flight_form_amplitude**2 * without.flight_repeat.share
+        share = rules.equation_error_amplitude**2 * without.flight_repeat.share
         position_m = max(rules.worsened_m, rules.worsened_ratio * without.flight_repeat.position_m)
     return ResidualBounds(
-        force=max(rules.force_floor_m_s2, rules.form_error_share * without.force.repeat),
-        torque=max(rules.torque_floor_rad_s2, rules.form_error_share * without.torque.repeat),
+        force=max(rules.force_floor_m_s2, rules.equation_error_share * without.force.repeat),
+        torque=max(rules.torque_floor_rad_s2, rules.equation_error_share * without.torque.repeat),
         line_ratio=rules.line_ratio_with_memory if has_memory else rules.line_ratio,
         flight_share=max(rules.flight_repeat_share, share),
         position_m=position_m,

@@ -43,13 +43,13 @@ class Rules:
         "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
         "best. A start value of an effect is used only if it gains more than this.",
     )
-    present_tolerances: float = _rule(
+    present_spikes: float = _rule(
         1.0,
         "spikes",
         "An effect is present if a strength parameter is farther than this from neutral, in units of the "
         "spike (tolerance and discrepancy combined).",
     )
-    carrier_tolerances: float = _rule(
+    carrier_spikes: float = _rule(
         4.0,
         "spikes",
         "Another effect can act through an effect larger than this, as wind through drag, in units of the "
@@ -60,7 +60,7 @@ class Rules:
         "1",
         "A set is rejected if its position error is this many times that of the set that it started from.",
     )
-    memory_fault_share: float = _rule(
+    least_gain_beside_memory: float = _rule(
         0.1,
         "1",
         "If an effect with states of its own is selected, an additional effect is kept only if it gains at "
@@ -83,10 +83,12 @@ class Rules:
     # Unexplained residual.
     repeat_z: float = _rule(3.0, "sigma", "z score above which a residual repeats between repeat flights.")
     force_floor_m_s2: float = _rule(
-        0.06, "m/s^2", "Residual specific force that needs no cause, since turbulence is as strong."
+        0.06,
+        "m/s^2",
+        "Residual specific force (rms that repeats, or of a line) that turbulence alone can show.",
     )
     torque_floor_rad_s2: float = _rule(0.8, "rad/s^2", "Residual angular acceleration that needs no cause.")
-    form_error_share: float = _rule(
+    equation_error_share: float = _rule(
         0.1,
         "1",
         "The selected set may leave this share of the residual that the model without effects leaves, since "
@@ -99,7 +101,9 @@ class Rules:
         10.0, "1", "The same if an effect with states of its own is selected, whose swing partly remains."
     )
     line_false_alarm: float = _rule(
-        1e-3, "probability", "A line counts if noise alone shows a line as strong less often than this."
+        1e-3,
+        "probability",
+        "A line counts if the probability that noise alone shows an equally strong line is below this.",
     )
     line_min_hz: float = _rule(0.3, "Hz", "Lowest frequency of the search for lines.")
     line_max_hz: float = _rule(4.0, "Hz", "Highest frequency of the search for lines.")
@@ -111,7 +115,8 @@ class Rules:
     flight_repeat_share: float = _rule(
         0.08,
         "1",
-        "Bound on the repeatable power of whole flights, over that of turbulence and noise; a finding arises "
+        "Bound on the power of the part of the prediction error of whole flights that repeats, over that of "
+        "turbulence and noise; a finding arises "
         "if the estimate minus `repeat_standard_errors` standard errors exceeds it.",
     )
     repeat_standard_errors: float = _rule(
@@ -119,7 +124,7 @@ class Rules:
         "standard errors",
         "Subtracted from the estimate before it is compared with `flight_repeat_share`.",
     )
-    flight_form_amplitude: float = _rule(
+    equation_error_amplitude: float = _rule(
         0.2,
         "1",
         "The selected set may leave this share of the repeatable amplitude that the model without effects "
@@ -180,7 +185,7 @@ class Rules:
     )
     free_mounting_sigma_rad: float = _rule(0.1, "rad", "The same if the log declares the tilt unknown.")
     torque_sigma_rad_s2: float = _rule(
-        0.3, "rad/s^2", "Prior standard deviation of the constant angular acceleration of one flight."
+        0.3, "rad/s^2", "Prior standard deviation of the constant torque error of one flight, over inertia."
     )
     gyro_bias_sigma_rad_s: float = _rule(
         0.02, "rad/s", "Prior standard deviation of the gyro bias of one flight, if the torque is unknown."
@@ -197,7 +202,8 @@ class Rules:
     flight_fit_min_s: float = _rule(
         9.6,
         "s",
-        "Least tracking time for a fit to whole flights: 240 bins of 40 ms: 20 for each of 12 channels.",
+        "Least tracking time for a fit to whole flights: 240 bins of 40 ms, that is 20 bins for each of 12 "
+        "channels.",
     )
     hover_extent_m: float = _rule(
         0.3, "m", "Extent below which a flight is a hover; whitening removes the constant errors of a hover."
@@ -240,7 +246,8 @@ class Rules:
     clock_jump_s: float = _rule(
         0.003,
         "s",
-        "A clock has jumped if the least pose delay steps by more than this: six latency tolerances.",
+        "A clock has jumped if the smallest pose delay changes by more than this in a second: six latency "
+        "tolerances.",
     )
     clock_drift_s: float = _rule(
         0.002, "s", "Drift between the clocks of camera and vehicle above which the audit warns."

@@ -29,11 +29,11 @@ LOOP_SETTLED = 0.3
 """A fit ends at a step smaller than this many standard deviations."""
 
 _ITERATIONS = 6
-_MAX_REFITS = 6
-"""Greatest number of linearisations of a fit with a given whitening."""
+_GIVEN_WHITENING_ITERATIONS = 6
+"""Greatest number of iterations of `fit_with_whitening`."""
 
 _REFIT_SETTLED = 0.1
-"""Step, in standard deviations, below which that fit ends."""
+"""Step, in standard deviations, below which `fit_with_whitening` ends."""
 
 _LINE = (1.0, 0.5, 0.25, 0.1)
 """Step lengths of the line search, as shares of the Gauss-Newton step."""
@@ -345,5 +345,5 @@ def fit_with_whitening(
         theta_scaled = loop.space.clipped(theta_scaled + step)
         turn += 1
         settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _REFIT_SETTLED
-        if settled or turn == _MAX_REFITS:
+        if settled or turn == _GIVEN_WHITENING_ITERATIONS:
             return theta_scaled, covariance, grams

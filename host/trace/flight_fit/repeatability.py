@@ -3,8 +3,8 @@
 Repeat flights share only the vehicle, its surroundings and the reference. Their difference contains only
 turbulence and noise, so an autoregression fitted to the difference whitens the residuals without any
 knowledge of the physics. The part of the whitened residuals that repeat flights have in common is physics
-that the model lacks. Segments are less sensitive: the form of the loop's response to
-a gust is the same in every flight, so within a segment a part of it repeats and looks like a model error.
+that the model lacks. Segments are less sensitive: every gust causes a loop response of the same shape, so
+responses to different gusts partly correlate between short segments, which looks like a model error.
 """
 
 from __future__ import annotations

@@ -1,7 +1,7 @@
 """What planned flights tell: the information of a flight that the vehicle has not flown yet.
 
-The information is computed in the linearisation of command-driven segments. The planned motion gives the
-states, the nominal vehicle the commands, and the flights so far the sensors, battery and disturbance.
+The information is computed in the linearisation of command-driven segments. States come from the planned
+motion; commands from the nominal vehicle; sensors, battery and disturbance from the flights so far.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from trimtab.firmware_model.law.flatness import Body, flat_full
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.trace import evidence
-from trimtab.host.trace.data.cutting import DT_S, LAGS, SEGMENT_S
+from trimtab.host.trace.data.cutting import DT_S, RUN_UP_LAGS, SEGMENT_S
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.evidence import DisturbanceVariances
 from trimtab.host.trace.segment_fit import linearise, rollout
@@ -115,7 +115,7 @@ def information(
         nuisances,
     )
     lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
-    return evidence.whitened(lin, instruments.process, segment_model.space.prior).gram[1:, 1:]
+    return evidence.marginal_grams(lin, instruments.process, segment_model.space.prior).gram[1:, 1:]
 
 
 def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> Segments:
@@ -142,7 +142,7 @@ def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.
 def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segments | None:
     """Return the segments of a flight that follows flat outputs (14, n) exactly; None if it is too short."""
     steps = round(SEGMENT_S / DT_S)
-    pre = max(1, int(np.ceil(LAGS * vehicle.motor_lag_s / DT_S)))
+    pre = max(1, int(np.ceil(RUN_UP_LAGS * vehicle.motor_lag_s / DT_S)))
     count = (flat.shape[1] - pre - 1) // steps
     if count < 1:
         return None

@@ -186,7 +186,7 @@ def _flown_information(segment_model: SegmentModel, fit: SegmentFit, theta_scale
     if not np.array_equal(theta_scaled, fit.theta_scaled):
         grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)
         lin = linearise.project(grams, fit.data, theta_scaled, fit.nuisances)
-    return evidence.whitened(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
+    return evidence.marginal_grams(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
 
 
 def _carriers(space: ParameterSpace, selected: Sequence[str], pair: Sequence[str]) -> list[str]:

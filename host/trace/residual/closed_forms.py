@@ -1,4 +1,4 @@
-"""Closed forms of a force in space: to a point, around a place, a jet, along a direction (as near a wall)."""
+"""Closed forms of a force field: towards a point, around a place, a jet, or along a direction."""
 
 from __future__ import annotations
 

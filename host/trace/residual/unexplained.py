@@ -2,8 +2,8 @@
 
 Repeat flights share only the vehicle, its surroundings and the reference. The part of the estimated
 disturbance that repeats between them is therefore physics that the model lacks, however small it is next to
-the turbulence. The mean of w_1 . w_2, the product of two repeat flights, is not biased by noise, so no noise
-floor is subtracted. A disturbance of random phase does not
+the turbulence. The mean of w_1 . w_2, the scalar product of the disturbances of two repeat flights, is not
+biased by noise, so no noise floor is subtracted. An oscillation whose phase differs between flights does not
 repeat, but shows as a line in the spectrum.
 """
 
@@ -43,8 +43,8 @@ NO_LINE = SpectralLine()
 class ChannelResidual:
     """The residual specific force (m/s^2) or angular acceleration (rad/s^2) beyond turbulence.
 
-    repeat: rms that repeats between repeat flights, negative if it reverses. z_score: the z score of
-    `repeat`, of unit variance if nothing repeats. line: strongest line of the spectrum.
+    repeat: rms that repeats between repeat flights, negative if the two flights are anticorrelated. z_score:
+    the z score of `repeat`, of unit variance if nothing repeats. line: strongest line of the spectrum.
     """
 
     repeat: float
@@ -56,9 +56,10 @@ class ChannelResidual:
 class FlightRepeat:
     """The part of the prediction errors of whole flights that repeats between repeat flights.
 
-    share: its power over the power of turbulence and noise, both whitened; negative if it reverses. z_score:
-    the z score of `share`, of unit variance if nothing repeats. position_m: rms of the position error that
-    repeats. size: number of whitened values compared, counted in one flight of each pair.
+    share: its power over the power of turbulence and noise, both whitened; negative if the two flights are
+    anticorrelated. z_score: the z score of `share`, of unit variance if nothing repeats. position_m: rms of
+    the position error that repeats. size: number of whitened values compared, counted in one flight of each
+    pair.
     """
 
     share: float
@@ -84,7 +85,7 @@ class FlightRepeat:
 
 @dataclass(frozen=True, kw_only=True)
 class UnexplainedResidual:
-    """The residual of a model that turbulence and noise do not explain.
+    """The part of a model's residual that turbulence and noise do not explain.
 
     Attributes
     ----------
@@ -142,7 +143,9 @@ def unexplained_residual(
 def _repeat(
     w: np.ndarray, flight: np.ndarray, start_s: np.ndarray, repeat_flights: Sequence[tuple[int, int]]
 ) -> tuple[float, float]:
-    """Return the rms of w (segments, bins, 3) that repeats, negative if it reverses, and its z score.
+    """Return the rms of w (segments, bins, 3) that repeats, and its z score.
+
+    The rms is negative if the two flights are anticorrelated.
 
     If nothing repeats, the product of two segments has mean 0 and a variance proportional to the product of
     their powers. Segments of repeat flights at different times of the reference give the constant of

@@ -24,8 +24,9 @@ START_RATE_DRIVEN = DisturbanceVariances(
 )
 
 SEGMENTS_SETTLED = 0.2
-"""Greatest step, in standard deviations, at which a fit ends. With a greater one, the evidence
-would change by several nats with the start of the fit."""
+"""Greatest step, in standard deviations, at which a fit ends. If fits ended at greater steps, their evidence
+would depend on where they start, by several nats.
+"""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -43,7 +44,7 @@ class SegmentFit:
     nuisances
         Nuisances (flights, NUISANCES).
     process
-        Process disturbance of greatest evidence.
+        Variances of the process disturbance of greatest evidence.
     lin
         Last linearisation; its point is one step away from the estimate.
     data
@@ -95,7 +96,7 @@ class SegmentFitter:
         """
         prior, candidates = self.prior, self.space.candidates
         saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
-        whites = [evidence.whitened(fit.lin, process, prior) for process in (saturated, fit.process)]
+        whites = [evidence.marginal_grams(fit.lin, process, prior) for process in (saturated, fit.process)]
         return [
             lambda names, white=white: evidence.log_evidence(
                 white.gram,
@@ -164,7 +165,7 @@ def refit(
         else:
             lin, data = _linearised(segment_model, data, theta_scaled, nuisances, basis)
         process = evidence.fit_process(lin, prior, effects, process)
-        white = evidence.whitened(lin, process, prior)
+        white = evidence.marginal_grams(lin, process, prior)
         step, covariance = evidence.bounded_step(white.gram, theta_scaled, precision, space.bounds)
         sigma = np.sqrt(np.diag(covariance))
         settled = iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED
@@ -214,7 +215,7 @@ def at_parameters(
 ) -> SegmentFit:
     """Return a segment fit at parameters that were fitted to whole flights.
 
-    Only nuisances, disturbance and process are fitted to the segments of `start`.
+    Only initial states, nuisances, the disturbance and its variances are fitted to the segments of `start`.
 
     Parameters
     ----------
@@ -236,7 +237,7 @@ def at_parameters(
         lin = linearise.project(grams, data, theta_scaled, nuisances)
         process = evidence.fit_process(lin, prior, effects, process)
         nuisance_step = evidence.nuisance_step(
-            lin, evidence.whitened(lin, process, prior), prior, np.zeros(len(theta_scaled))
+            lin, evidence.marginal_grams(lin, process, prior), prior, np.zeros(len(theta_scaled))
         )
         nuisances = nuisances + nuisance_step
         if not last:
@@ -266,7 +267,7 @@ def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
     )
 
 
-def unknowns_only(space: ParameterSpace, null_fit: SegmentFit) -> np.ndarray:
+def theta_without_effects(space: ParameterSpace, null_fit: SegmentFit) -> np.ndarray:
     """Return theta_scaled (P,) of the model without effects: 0, except for freed adjustments.
 
     null_fit: segment fit without effects, which gives the values of the freed adjustments.

@@ -80,7 +80,7 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     error = r + J @ at
     expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
     expected += RULES.prior_log_odds * len(chosen)
-    white = evidence.whitened(dense.lin, PROCESS, PRIOR)
+    white = evidence.marginal_grams(dense.lin, PROCESS, PRIOR)
     assert evidence.log_evidence(
         white.gram, white.log_det, dense.lin.theta_scaled, precision, len(chosen), FREE
     ) == pytest.approx(expected, abs=1e-7)
@@ -92,7 +92,7 @@ def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> 
     ridge = np.concatenate([precision, np.tile(1.0 / PRIOR.nuisance_sigma**2, 2)])
     inner = J.T @ np.linalg.solve(covariance, J) + np.diag(ridge)
     expected = np.linalg.solve(inner, J.T @ np.linalg.solve(covariance, r) - ridge * at)
-    white = evidence.whitened(dense.lin, PROCESS, PRIOR)
+    white = evidence.marginal_grams(dense.lin, PROCESS, PRIOR)
     step, spread = evidence.posterior(white.gram, dense.lin.theta_scaled, precision)
     nuisances = evidence.nuisance_step(dense.lin, white, PRIOR, step)
     np.testing.assert_allclose(step, expected[:P], atol=1e-9)
@@ -132,7 +132,7 @@ def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> Non
 
     def value(logs: np.ndarray) -> float:
         process = DisturbanceVariances(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
-        white = evidence.whitened(dense.lin, process, PRIOR)
+        white = evidence.marginal_grams(dense.lin, process, PRIOR)
         return evidence.log_evidence(white.gram, white.log_det, dense.lin.theta_scaled, precision, 0, FREE)
 
     slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]

@@ -24,7 +24,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "data/cutting.py": {
         "DT_S": "grid step of segments",
         "SEGMENT_S": "length of a segment",
-        "LAGS": "length of the rotors' run-up before a segment",
+        "RUN_UP_LAGS": "length of the rotors' run-up before a segment",
     },
     "data/segments.py": {
         "BIN_S": "length of a bin",
@@ -37,7 +37,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "flight_fit/fit.py": {
         "LOOP_SETTLED": "step at which the Gauss-Newton iteration ends",
         "_ITERATIONS": "number of Gauss-Newton iterations",
-        "_MAX_REFITS": "number of linearisations of a fit with a given whitening",
+        "_GIVEN_WHITENING_ITERATIONS": "number of linearisations of a fit with a given whitening",
         "_REFIT_SETTLED": "step at which that fit ends",
         "_LINE": "step lengths of the line search",
     },

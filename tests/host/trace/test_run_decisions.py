@@ -44,7 +44,7 @@ from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Method, selected_set_is_judged, without_payload_artefacts
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
-TIE_NATS, FAULT = RULES.tie_nats, RULES.memory_fault_share
+TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory
 OTHER = VEHICLE.replace(mass_kg=0.8)
 WEIGHED = 0.005
 """Tolerance of the mass below which the vehicle was weighed."""
@@ -520,7 +520,7 @@ def inputs_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
     monkeypatch.setattr(gathering, "unexplained_residual", residual)
     monkeypatch.setattr(gathering, "_remainder", lambda segment_model, diagnosis: ("selected", None))
     monkeypatch.setattr(gathering, "disturbance_left", lambda fit, theta_scaled: "nothing")
-    monkeypatch.setattr(gathering, "unknowns_only", lambda space, nothing: None)
+    monkeypatch.setattr(gathering, "theta_without_effects", lambda space, nothing: None)
     monkeypatch.setattr(gathering, "segment_disagreement_nats", lambda segment_model, nothing, effects: ASKED)
 
     def gather(

@@ -34,7 +34,7 @@ from trimtab.host.trace.search import (
 )
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
-TIE_NATS, CARRIER = RULES.tie_nats, RULES.carrier_tolerances
+TIE_NATS, CARRIER = RULES.tie_nats, RULES.carrier_spikes
 BEST = build_closed_fit()
 
 

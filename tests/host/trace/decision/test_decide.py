@@ -113,10 +113,10 @@ def test_verdict_of_selected_effects_depends_only_on_their_aliases(
 
 def test_decision_on_clear_evidence_has_no_findings() -> None:
     traced = decide(build_inputs(("drag",)))
-    assert (traced.verdict, traced.findings, traced.effects_added) == (Verdict.TRACED, (), True)
+    assert (traced.verdict, traced.findings, traced.within_library) == (Verdict.TRACED, (), True)
     assert (traced.aliases, traced.possible, traced.to_separate) == ({"drag": {}}, {}, None)
     nothing = decide(build_inputs())
-    assert (nothing.verdict, nothing.findings, nothing.effects_added) == (Verdict.NOTHING_MISSING, (), True)
+    assert (nothing.verdict, nothing.findings, nothing.within_library) == (Verdict.NOTHING_MISSING, (), True)
     assert (nothing.aliases, nothing.possible, nothing.to_separate) == ({}, {}, None)
 
 
@@ -131,7 +131,7 @@ def test_decision_on_clear_evidence_has_no_findings() -> None:
 def test_effects_are_added_unless_the_cause_is_outside_the_library(
     changes: dict[str, Any], expected: bool
 ) -> None:
-    assert decide(build_inputs(("drag",), **changes)).effects_added == expected
+    assert decide(build_inputs(("drag",), **changes)).within_library == expected
 
 
 # The order of findings.
@@ -268,7 +268,7 @@ def test_reasons_and_doubts_are_different_codes() -> None:
         ),
         pytest.param(
             {"residual": REPEATING, "residual_without": repeating(5.0)},
-            {"form_error_share": 0.3},
+            {"equation_error_share": 0.3},
             Verdict.OUTSIDE_LIBRARY,
             Verdict.TRACED,
             id="form-error",

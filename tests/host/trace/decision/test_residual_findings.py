@@ -269,9 +269,9 @@ def test_flights_repeat_is_listed_before_flights_worsened() -> None:
     ("missing", "expected"),
     [
         pytest.param({}, {}, id="nothing-missing"),
-        pytest.param(repeating("force", BELOW / RULES.form_error_share), {}, id="force-just-below"),
+        pytest.param(repeating("force", BELOW / RULES.equation_error_share), {}, id="force-just-below"),
         pytest.param({"force": build_channel(repeat=5.0)}, {"force": 0.5}, id="force"),
-        pytest.param(repeating("torque", BELOW / RULES.form_error_share), {}, id="torque-just-below"),
+        pytest.param(repeating("torque", BELOW / RULES.equation_error_share), {}, id="torque-just-below"),
         pytest.param({"torque": build_channel(repeat=50.0)}, {"torque": 5.0}, id="torque"),
         pytest.param(
             {"force": build_channel(repeat=-5.0), "torque": build_channel(repeat=-50.0)}, {}, id="reversed"
@@ -279,7 +279,7 @@ def test_flights_repeat_is_listed_before_flights_worsened() -> None:
         pytest.param(
             {
                 "flight_repeat": build_flight_repeat(
-                    share=REPEAT_SHARE / RULES.flight_form_amplitude**2 * BELOW
+                    share=REPEAT_SHARE / RULES.equation_error_amplitude**2 * BELOW
                 )
             },
             {"position_m": WORSENED_M},

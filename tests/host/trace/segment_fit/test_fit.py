@@ -28,7 +28,7 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     form = SegmentModel.of(flight.vehicle, library, data)
     nothing = refit(form, data, (), None, iterations=2)
     fit = refit(form, data, ("thrust-gain",), nothing, iterations=1)
-    white = evidence.whitened(fit.lin, fit.process, library.prior)
+    white = evidence.marginal_grams(fit.lin, fit.process, library.prior)
     step, covariance = evidence.bounded_step(
         white.gram, fit.lin.theta_scaled, library.prior.precision(fit.effects), library.bounds
     )
@@ -36,6 +36,6 @@ def test_a_fit_is_the_optimum_of_its_linearisation() -> None:
     np.testing.assert_allclose(fit.theta_scaled, fit.lin.theta_scaled + step)
 
     again = at_parameters(form, nothing, fit.effects, fit.theta_scaled, fit.covariance, 0.0)
-    white = evidence.whitened(again.lin, again.process, library.prior)
+    white = evidence.marginal_grams(again.lin, again.process, library.prior)
     moved = evidence.nuisance_step(again.lin, white, library.prior, np.zeros(len(step)))
     np.testing.assert_allclose(again.nuisances, again.lin.nuisances + moved)
