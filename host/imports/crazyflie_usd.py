@@ -16,6 +16,7 @@ import zlib
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
@@ -49,12 +50,12 @@ VARIABLES = (*_POSITION, *_ANGLES, *_RATE, *_THRUST, *_TORQUE, *_TARGET, *_TARGE
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Event:
-    """Records of one event type: times (n,) in units of `unit_us`, and variables (n,) by name."""
+    """Records of one event type: times in units of `unit_us`, and variables by name."""
 
     name: str
-    times: np.ndarray
+    times: Annotated[np.ndarray, "records"]
     unit_us: float
-    columns: Mapping[str, np.ndarray]
+    columns: Mapping[str, Annotated[np.ndarray, "records"]]
 
 
 def read(path: Path | str) -> Recording:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal, get_args
+from typing import Annotated, Literal, get_args
 
 import numpy as np
 
@@ -67,17 +67,17 @@ class Recording:
     Attributes
     ----------
     pose_us, p_ned, q_ned_frd
-        Times (n,), positions (n, 3), and attitudes (n, 4) with w first.
+        Times, positions, and attitudes with w first.
     input_us, motor_command, thrust_n, torque_n_m
-        Times (m,), and motor commands (m, 4) in 0..1 or thrust (m,) with torque (m, 3) if it is known.
+        Times, and motor commands in 0..1, or thrust with torque if it is known.
     motor_corners
         Corner of the motor in each column of `motor_command`; None for the order of the vehicle file.
     imu_us, gyro, specific_force
-        Times (k,), and measurements (k, 3).
+        Times and measurements.
     battery_us, battery_v
         Times and voltages.
     reference_us, p_ref_ned, v_ref_ned, a_ref_ned
-        Times (r,), positions (r, 3) and, if logged, velocities and accelerations.
+        Times, positions and, if logged, velocities and accelerations.
     mass_kg
         Mass that the vehicle's controller used.
     unknown
@@ -85,24 +85,24 @@ class Recording:
     """
 
     source: str
-    pose_us: np.ndarray
-    p_ned: np.ndarray
-    q_ned_frd: np.ndarray
+    pose_us: Annotated[np.ndarray, "poses"]
+    p_ned: Annotated[np.ndarray, "poses 3"]
+    q_ned_frd: Annotated[np.ndarray, "poses 4"]
     unknown: tuple[Unknown, ...]
-    input_us: np.ndarray | None = None
-    motor_command: np.ndarray | None = None
+    input_us: Annotated[np.ndarray, "inputs"] | None = None
+    motor_command: Annotated[np.ndarray, "inputs 4"] | None = None
     motor_corners: tuple[Corner, Corner, Corner, Corner] | None = None
-    thrust_n: np.ndarray | None = None
-    torque_n_m: np.ndarray | None = None
-    imu_us: np.ndarray | None = None
-    gyro: np.ndarray | None = None
-    specific_force: np.ndarray | None = None
-    battery_us: np.ndarray | None = None
-    battery_v: np.ndarray | None = None
-    reference_us: np.ndarray | None = None
-    p_ref_ned: np.ndarray | None = None
-    v_ref_ned: np.ndarray | None = None
-    a_ref_ned: np.ndarray | None = None
+    thrust_n: Annotated[np.ndarray, "inputs"] | None = None
+    torque_n_m: Annotated[np.ndarray, "inputs 3"] | None = None
+    imu_us: Annotated[np.ndarray, "samples"] | None = None
+    gyro: Annotated[np.ndarray, "samples 3"] | None = None
+    specific_force: Annotated[np.ndarray, "samples 3"] | None = None
+    battery_us: Annotated[np.ndarray, "voltages"] | None = None
+    battery_v: Annotated[np.ndarray, "voltages"] | None = None
+    reference_us: Annotated[np.ndarray, "references"] | None = None
+    p_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
+    v_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
+    a_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     mass_kg: float | None = None
 
     def __post_init__(self) -> None:
@@ -159,8 +159,10 @@ _TRACKS = {
 }
 
 
-def since_first_us(times: np.ndarray, unit_us: float, source: str) -> np.ndarray:
-    """Return integer microseconds since the first of `times` (n,), which are in units of `unit_us`.
+def since_first_us(
+    times: Annotated[np.ndarray, "samples"], unit_us: float, source: str
+) -> Annotated[np.ndarray, "samples"]:
+    """Return integer microseconds since the first of `times`, which are in units of `unit_us`.
 
     Raises ImportFormatError if they decrease or span more than a day, which indicates a wrong unit. Equal
     times are allowed; `first_of_equal` drops repetitions.
@@ -178,13 +180,13 @@ def since_first_us(times: np.ndarray, unit_us: float, source: str) -> np.ndarray
     return t_us
 
 
-def first_of_equal(t_us: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the first row of each time."""
+def first_of_equal(t_us: Annotated[np.ndarray, "samples"]) -> Annotated[np.ndarray, "samples"]:
+    """Return a mask of the first row of each time."""
     return np.r_[True, np.diff(t_us) > 0]
 
 
-def fresh(*columns: np.ndarray) -> np.ndarray:
-    """Return a mask (n,) of the rows that differ from the previous row in any of the columns (n, k).
+def fresh(*columns: Annotated[np.ndarray, "samples _"]) -> Annotated[np.ndarray, "samples"]:
+    """Return a mask of the rows that differ from the previous row in any of the columns.
 
     A pose identical to the previous one was not measured again. The logger repeated it, and the time of its
     row is too late.

@@ -6,13 +6,14 @@ import csv
 import math
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Annotated
 
 import numpy as np
 
 from trimtab.host.imports.recording import READABLE, ImportFormatError
 
 
-def table(path: Path, needed: Sequence[str]) -> dict[str, np.ndarray]:
+def table(path: Path, needed: Sequence[str]) -> dict[str, Annotated[np.ndarray, "rows"]]:
     """Return the needed columns of a CSV file by name. All values are finite.
 
     Empty lines, spaces around names and a byte order mark are ignored. Raises ImportFormatError with the file

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -40,15 +40,15 @@ class Prepared:
     interval_s
         Median interval between poses.
     x
-        States (n, 12): p, v (NED), Theta, body rate (FRD).
+        States: p, v (NED), Theta, body rate (FRD).
     a
-        Acceleration (n, 3), NED.
+        Acceleration, NED.
     path_covariance
-        Covariance (n, 3, 3) of p, v and a, the same for each axis.
+        Covariance of p, v and a, the same for each axis.
     theta_sigma
-        Standard deviation of the attitude (n,), rad.
+        Standard deviation of the attitude, rad.
     seen
-        Whether there are poses near each sample (n,).
+        Whether there are poses near each sample.
     notes
         Sentences about what was cut or left out.
     """
@@ -57,16 +57,16 @@ class Prepared:
     start_s: float
     step_s: float
     interval_s: float
-    x: np.ndarray
-    a: np.ndarray
-    path_covariance: np.ndarray
-    theta_sigma: np.ndarray
-    seen: np.ndarray
+    x: Annotated[np.ndarray, "samples 12"]
+    a: Annotated[np.ndarray, "samples 3"]
+    path_covariance: Annotated[np.ndarray, "samples 3 3"]
+    theta_sigma: Annotated[np.ndarray, "samples"]
+    seen: Annotated[np.ndarray, "samples"]
     notes: tuple[str, ...]
 
     @property
-    def at_s(self) -> np.ndarray:
-        """Times (n,) of the samples on the log's clock."""
+    def at_s(self) -> Annotated[np.ndarray, "samples"]:
+        """Times of the samples on the log's clock."""
         return self.start_s + self.step_s * np.arange(len(self.x))
 
 
@@ -145,13 +145,13 @@ class _Measured:
 
     `path` holds positions. `turned` is the rotation of the camera's attitude from the gyro's, relative to
     `base`, the first such rotation. `gyro` is the gyro's attitude on the grid. `start_s` is the start of the
-    tracking phase and of the grid, `pose_s` (m,) the times of the poses, `interval_s` their median interval.
+    tracking phase and of the grid, `pose_s` the times of the poses, `interval_s` their median interval.
     """
 
     flight: Flight
     start_s: float
     interval_s: float
-    pose_s: np.ndarray
+    pose_s: Annotated[np.ndarray, "poses"]
     path: Series
     turned: Series
     base: Any

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -16,36 +17,36 @@ _FIRST = np.array([[1.0], [0.0], [0.0]])
 
 @dataclass(frozen=True, kw_only=True)
 class Smoothed:
-    """p, v, a (n, axes) at the requested times, and their covariance (n, 3, 3), the same for each axis."""
+    """p, v, a at the requested times, and their covariance, the same for each axis."""
 
-    p: np.ndarray
-    v: np.ndarray
-    a: np.ndarray
-    covariance: np.ndarray
+    p: Annotated[np.ndarray, "times axes"]
+    v: Annotated[np.ndarray, "times axes"]
+    a: Annotated[np.ndarray, "times axes"]
+    covariance: Annotated[np.ndarray, "times 3 3"]
 
     @property
-    def sigma_p(self) -> np.ndarray:
-        """Standard deviation of p (n,)."""
+    def sigma_p(self) -> Annotated[np.ndarray, "times"]:
+        """Standard deviation of p."""
         return np.sqrt(np.maximum(self.covariance[:, 0, 0], 0.0))
 
     @property
-    def sigma_v(self) -> np.ndarray:
-        """Standard deviation of v (n,)."""
+    def sigma_v(self) -> Annotated[np.ndarray, "times"]:
+        """Standard deviation of v."""
         return np.sqrt(np.maximum(self.covariance[:, 1, 1], 0.0))
 
 
 @dataclass(frozen=True, kw_only=True)
 class Series:
-    """Samples (m, axes) with noise `sigma` at times `t_s` (m,), to be smoothed at times `at_s` (n,).
+    """Samples with noise `sigma` at times `t_s`, to be smoothed at times `at_s`.
 
     `jerk_density` is the power density of the white jerk, unit^2/s^5. A larger one follows faster changes and
     smooths less. Times must not decrease. Raises ValueError for fewer than three samples.
     """
 
-    t_s: np.ndarray
-    samples: np.ndarray
+    t_s: Annotated[np.ndarray, "samples"]
+    samples: Annotated[np.ndarray, "samples axes"]
     sigma: float
-    at_s: np.ndarray
+    at_s: Annotated[np.ndarray, "times"]
     jerk_density: float
 
     def __post_init__(self) -> None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -24,8 +25,8 @@ class TrackingError:
     poses: int
 
 
-def reference_at(reference: Reference, t_us: Times) -> Floats:
-    """Return flat outputs (n, 14) at `t_us` after the start; outside it, those of the end nodes."""
+def reference_at(reference: Reference, t_us: Annotated[Times, "times"]) -> Annotated[Floats, "times 14"]:
+    """Return flat outputs at `t_us` after the start; outside it, those of the end nodes."""
     nodes = reference.nodes_ned()
     starts = np.array([node.t_us for node in nodes])
     states = np.array([node.state for node in nodes]).T

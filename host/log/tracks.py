@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Any, Self
+from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,8 +66,8 @@ class _Track:
     def __len__(self) -> int:
         return len(self._times)
 
-    def rows(self, keep: NDArray[Any]) -> Self:
-        """Return the track with these rows only, given as indices or as a mask (n,)."""
+    def rows(self, keep: Annotated[NDArray[Any], "_"]) -> Self:
+        """Return the track with these rows only, given as indices or as a mask."""
         arrays = {name: v[keep] for name, v in vars(self).items() if isinstance(v, np.ndarray)}
         return replace(self, **arrays)
 
@@ -79,25 +79,25 @@ class _Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mocap(_Track):
-    """Camera poses: time of measurement and of arrival, p_ned (n, 3), q_ned_frd (n, 4)."""
+    """Camera poses: time of measurement and of arrival, p_ned, q_ned_frd."""
 
-    t_us: Times
-    t_arrival_us: Times
-    p: Floats
-    q: Floats
+    t_us: Annotated[Times, "poses"]
+    t_arrival_us: Annotated[Times, "poses"]
+    p: Annotated[Floats, "poses 3"]
+    q: Annotated[Floats, "poses 4"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate(_Track):
     """The on-board estimate: p_ned, v_ned, q_ned_frd, rate_frd, gyro bias, age of the pose last used."""
 
-    t_us: Times
-    p: Floats
-    v: Floats
-    q: Floats
-    rate: Floats
-    gyro_bias: Floats
-    mocap_age_s: Floats
+    t_us: Annotated[Times, "samples"]
+    p: Annotated[Floats, "samples 3"]
+    v: Annotated[Floats, "samples 3"]
+    q: Annotated[Floats, "samples 4"]
+    rate: Annotated[Floats, "samples 3"]
+    gyro_bias: Annotated[Floats, "samples 3"]
+    mocap_age_s: Annotated[Floats, "samples"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -110,72 +110,72 @@ class Control(_Track):
     left out.
     """
 
-    t0_us: Times
-    t1_us: Times
-    collective: Floats
-    rate_cmd: Floats
-    torque: Floats
-    rate_integral: Floats
-    motor_mean: Floats
-    gyro_mean: Floats
-    force_mean: Floats
+    t0_us: Annotated[Times, "intervals"]
+    t1_us: Annotated[Times, "intervals"]
+    collective: Annotated[Floats, "intervals"]
+    rate_cmd: Annotated[Floats, "intervals 3"]
+    torque: Annotated[Floats, "intervals 3"]
+    rate_integral: Annotated[Floats, "intervals 3"]
+    motor_mean: Annotated[Floats, "intervals 4"]
+    gyro_mean: Annotated[Floats, "intervals 3"]
+    force_mean: Annotated[Floats, "intervals 3"]
 
     @property
-    def sensed_us(self) -> Floats:
-        """Start and end (n, 2) of the interval that each mean of gyro and specific force covers, us."""
+    def sensed_us(self) -> Annotated[Floats, "intervals 2"]:
+        """Start and end of the interval that each mean of gyro and specific force covers, us."""
         return np.column_stack([self.t0_us, self.t1_us]).astype(np.float64) + 0.5 * TICK_US
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer(_Track):
-    """The on-board disturbance observer's estimate at t_us: (n, 3), m/s^2, NED."""
+    """The on-board disturbance observer's estimate at t_us, m/s^2, NED."""
 
-    t_us: Times
-    disturbance: Floats
+    t_us: Annotated[Times, "samples"]
+    disturbance: Annotated[Floats, "samples 3"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
     """State and failsafe (numbers as in flight.proto), battery voltage, times of ticks, counts since boot."""
 
-    t_us: Times
-    state: Times
-    failsafe: Times
-    battery_v: Floats
-    loop_max_us: Times
-    loop_overruns: Times
-    receive_overruns: Times
-    saturated_ticks: Times
-    flight_ticks: Times
-    poses_used: Times
-    loop_mean_us: Times
-    jitter_us: Times
-    mocap_age_max_us: Times
-    bad_bytes: Times
-    conditions: Times
-    action: Times
+    t_us: Annotated[Times, "samples"]
+    state: Annotated[Times, "samples"]
+    failsafe: Annotated[Times, "samples"]
+    battery_v: Annotated[Floats, "samples"]
+    loop_max_us: Annotated[Times, "samples"]
+    loop_overruns: Annotated[Times, "samples"]
+    receive_overruns: Annotated[Times, "samples"]
+    saturated_ticks: Annotated[Times, "samples"]
+    flight_ticks: Annotated[Times, "samples"]
+    poses_used: Annotated[Times, "samples"]
+    loop_mean_us: Annotated[Times, "samples"]
+    jitter_us: Annotated[Times, "samples"]
+    mocap_age_max_us: Annotated[Times, "samples"]
+    bad_bytes: Annotated[Times, "samples"]
+    conditions: Annotated[Times, "samples"]
+    action: Annotated[Times, "samples"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkHealth(_Track):
     """Counters of the link since connection, round trip, clock offsets (vehicle or camera minus host)."""
 
-    t_us: Times
-    frames_sent: Times
-    frames_received: Times
-    frames_lost: Times
-    frames_repeated: Times
-    messages_sent: Times
-    messages_received: Times
-    messages_lost: Times
-    bytes_sent: Times
-    bytes_received: Times
-    bad_bytes: Times
-    rtt_us: Floats
-    rtt_last_us: Floats
-    clock_offset_us: Floats
-    clock_offset_sd_us: Floats
-    camera_offset_us: Floats
+    t_us: Annotated[Times, "samples"]
+    frames_sent: Annotated[Times, "samples"]
+    frames_received: Annotated[Times, "samples"]
+    frames_lost: Annotated[Times, "samples"]
+    frames_repeated: Annotated[Times, "samples"]
+    messages_sent: Annotated[Times, "samples"]
+    messages_received: Annotated[Times, "samples"]
+    messages_lost: Annotated[Times, "samples"]
+    bytes_sent: Annotated[Times, "samples"]
+    bytes_received: Annotated[Times, "samples"]
+    bad_bytes: Annotated[Times, "samples"]
+    rtt_us: Annotated[Floats, "samples"]
+    rtt_last_us: Annotated[Floats, "samples"]
+    clock_offset_us: Annotated[Floats, "samples"]
+    clock_offset_sd_us: Annotated[Floats, "samples"]
+    camera_offset_us: Annotated[Floats, "samples"]
     radios: Mapping[str, int] | None = None
     """Final counters of both radios, by the names in flight.proto."""
 
@@ -184,20 +184,19 @@ class LinkHealth(_Track):
 class RecordedInputs(_Track):
     """Inputs of a foreign vehicle; `level` says which arrays are present.
 
-    "motor": motor (n, 4) in 0..1. "thrust-torque": thrust_n (n,), torque_n_m (n, 3) FRD. "reference": p_ref
-    and, if the log has them, v_ref, a_ref (n, 3) NED and yaw_ref (n,). Arrays of lower levels may be present
-    too.
+    "motor": motor in 0..1. "thrust-torque": thrust_n, torque_n_m FRD. "reference": p_ref and, if the log has
+    them, v_ref, a_ref NED and yaw_ref. Arrays of lower levels may be present too.
     """
 
-    t_us: Times
+    t_us: Annotated[Times, "inputs"]
     level: str
-    motor: Floats | None = None
-    thrust_n: Floats | None = None
-    torque_n_m: Floats | None = None
-    p_ref: Floats | None = None
-    v_ref: Floats | None = None
-    a_ref: Floats | None = None
-    yaw_ref: Floats | None = None
+    motor: Annotated[Floats, "inputs 4"] | None = None
+    thrust_n: Annotated[Floats, "inputs"] | None = None
+    torque_n_m: Annotated[Floats, "inputs 3"] | None = None
+    p_ref: Annotated[Floats, "inputs 3"] | None = None
+    v_ref: Annotated[Floats, "inputs 3"] | None = None
+    a_ref: Annotated[Floats, "inputs 3"] | None = None
+    yaw_ref: Annotated[Floats, "inputs"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -210,19 +209,19 @@ class RecordedInputs(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedImu(_Track):
-    """A foreign vehicle's gyro and specific force (n, 3), FRD; None for one that was not recorded."""
+    """A foreign vehicle's gyro and specific force, FRD; None for one that was not recorded."""
 
-    t_us: Times
-    gyro: Floats | None
-    specific_force: Floats | None
+    t_us: Annotated[Times, "samples"]
+    gyro: Annotated[Floats, "samples 3"] | None
+    specific_force: Annotated[Floats, "samples 3"] | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Battery(_Track):
     """Battery voltage."""
 
-    t_us: Times
-    battery_v: Floats
+    t_us: Annotated[Times, "voltages"]
+    battery_v: Annotated[Floats, "voltages"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

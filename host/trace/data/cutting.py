@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -79,24 +79,24 @@ def _paths(flights: Sequence[FlightData]) -> np.ndarray:
 class _Grid:
     """Measurements of one flight on a regular grid of DT_S.
 
-    t_s (n,): times of the grid, since arming. run_up: index at which the first segment begins. count: number
-    of segments. steps: steps in a segment. command (n - 1, 4), rate_frd, force_frd (n - 1, 3): means over
-    each step; command_share, rate_share, force_share (n - 1,): share of the step that samples cover.
-    voltage_ratio (n,). pose (n,): index of the nearest pose, -1 if there is none.
+    t_s: times of the grid, since arming. run_up: index at which the first segment begins. count: number of
+    segments. steps: steps in a segment. command, rate_frd, force_frd: means over each interval between two
+    times; command_share, rate_share, force_share: share of the interval that samples cover. pose: index of
+    the nearest pose, -1 if there is none.
     """
 
-    t_s: np.ndarray
+    t_s: Annotated[np.ndarray, "times"]
     run_up: int
     steps: int
     count: int
-    command: np.ndarray
-    command_share: np.ndarray
-    rate_frd: np.ndarray
-    rate_share: np.ndarray
-    force_frd: np.ndarray
-    force_share: np.ndarray
-    voltage_ratio: np.ndarray
-    pose: np.ndarray
+    command: Annotated[np.ndarray, "intervals 4"]
+    command_share: Annotated[np.ndarray, "intervals"]
+    rate_frd: Annotated[np.ndarray, "intervals 3"]
+    rate_share: Annotated[np.ndarray, "intervals"]
+    force_frd: Annotated[np.ndarray, "intervals 3"]
+    force_share: Annotated[np.ndarray, "intervals"]
+    voltage_ratio: Annotated[np.ndarray, "times"]
+    pose: Annotated[np.ndarray, "times"]
 
 
 def _grid(data: FlightData, segment_s: float) -> _Grid:

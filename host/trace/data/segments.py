@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -16,40 +16,40 @@ PATH_S = 0.02
 
 @dataclass(frozen=True, kw_only=True)
 class Segments:
-    """S segments of H steps, with their measurements and commands.
+    """Segments of equal length, with their measurements and commands.
 
     Attributes
     ----------
     dt_s
         Step of the grid.
     flight
-        Index (S,) of the flight of each segment.
+        Index of the flight of each segment.
     start_s
-        Start (S,) since tracking began.
+        Start since tracking began.
     x0
-        Initial states (S, 12): p, v NED, Euler angles Theta, body rate FRD.
+        Initial states: p, v NED, Euler angles Theta, body rate FRD.
     p_ned, R_ned_frd
-        Position (S, H, 3) in m and attitude (S, H, 9), row-major, of the pose nearest to each grid point.
+        Position in m and attitude, row-major, of the pose nearest to each grid point.
     shift_s
-        Time (S, H) from the grid point to that pose.
+        Time from the grid point to that pose.
     pose_weight, rate_weight, force_weight
-        Weights (S, H) of pose, body rate and specific force; 0 where there is no measurement.
+        Weights of pose, body rate and specific force; 0 where there is no measurement.
     rate_frd, force_frd
-        Body rate (S, H, 3) in rad/s and specific force (S, H, 3) in m/s^2, means over each step.
+        Body rate in rad/s and specific force in m/s^2, means over each step.
     command
-        Motor commands (S, pre + H, 4), or rotor thrusts in N if `in_newton`, means over each step. The first
-        `pre` steps are the run-up of the rotors.
+        Motor commands, or rotor thrusts in N if `in_newton`, means over each step. Those before the last
+        `steps` are the run-up of the rotors.
     voltage_ratio
-        Battery voltage over full voltage (S, H).
+        Battery voltage over full voltage.
     sigma
-        Standard deviations (S, 4): position m, attitude rad, body rate rad/s, specific force m/s^2.
+        Standard deviations: position m, attitude rad, body rate rad/s, specific force m/s^2.
     disturbance_frd
-        Disturbance (S, bins, 6) about which roll-outs are linearised: specific force m/s^2, then angular
+        Disturbance about which roll-outs are linearised: specific force m/s^2, then angular
         acceleration rad/s^2. It keeps roll-outs close to the measurements whatever the model lacks.
     path_start_s
-        Start (S,) of each segment on the measured path of its flight.
+        Start of each segment on the measured path of its flight.
     paths
-        Measured states (flights, n, 12) of whole flights every PATH_S, with body rate 0.
+        Measured states of whole flights every PATH_S, with body rate 0.
     in_newton
         Whether commands are rotor thrusts in N.
     rate_driven
@@ -58,23 +58,23 @@ class Segments:
     """
 
     dt_s: float
-    flight: np.ndarray
-    start_s: np.ndarray
-    x0: np.ndarray
-    p_ned: np.ndarray
-    R_ned_frd: np.ndarray
-    shift_s: np.ndarray
-    pose_weight: np.ndarray
-    rate_frd: np.ndarray
-    rate_weight: np.ndarray
-    force_frd: np.ndarray
-    force_weight: np.ndarray
-    command: np.ndarray
-    voltage_ratio: np.ndarray
-    sigma: np.ndarray
-    disturbance_frd: np.ndarray
-    path_start_s: np.ndarray
-    paths: np.ndarray
+    flight: Annotated[np.ndarray, "segments"]
+    start_s: Annotated[np.ndarray, "segments"]
+    x0: Annotated[np.ndarray, "segments 12"]
+    p_ned: Annotated[np.ndarray, "segments steps 3"]
+    R_ned_frd: Annotated[np.ndarray, "segments steps 9"]
+    shift_s: Annotated[np.ndarray, "segments steps"]
+    pose_weight: Annotated[np.ndarray, "segments steps"]
+    rate_frd: Annotated[np.ndarray, "segments steps 3"]
+    rate_weight: Annotated[np.ndarray, "segments steps"]
+    force_frd: Annotated[np.ndarray, "segments steps 3"]
+    force_weight: Annotated[np.ndarray, "segments steps"]
+    command: Annotated[np.ndarray, "segments commands 4"]
+    voltage_ratio: Annotated[np.ndarray, "segments steps"]
+    sigma: Annotated[np.ndarray, "segments 4"]
+    disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
+    path_start_s: Annotated[np.ndarray, "segments"]
+    paths: Annotated[np.ndarray, "flights samples 12"]
     in_newton: bool
     rate_driven: bool
 
@@ -88,7 +88,7 @@ class Segments:
 
     @property
     def steps(self) -> int:
-        """Number H of steps in a segment."""
+        """Number of steps in a segment."""
         return self.p_ned.shape[1]
 
     @property
@@ -96,12 +96,12 @@ class Segments:
         """Number of disturbance bins in a segment."""
         return round(self.steps * self.dt_s / BIN_S)
 
-    def with_x0(self, x0: np.ndarray) -> Segments:
-        """Return the same segments with other initial states (S, 12)."""
+    def with_x0(self, x0: Annotated[np.ndarray, "segments 12"]) -> Segments:
+        """Return the same segments with other initial states."""
         return replace(self, x0=x0)
 
-    def with_w(self, w: np.ndarray) -> Segments:
-        """Return the same segments, linearised about another disturbance w (S, bins, 6), FRD."""
+    def with_w(self, w: Annotated[np.ndarray, "segments bins 6"]) -> Segments:
+        """Return the same segments, linearised about another disturbance w, FRD."""
         return replace(self, disturbance_frd=w)
 
     def take(self, index: Any) -> Segments:

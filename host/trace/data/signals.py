@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -34,31 +35,31 @@ class Signals:
     Attributes
     ----------
     pose_s, p_ned, R_ned_frd
-        Times (n,), positions (n, 3) in m and attitudes (n, 3, 3) of the poses.
+        Times, positions in m and attitudes of the poses.
     input_s, command
-        Begin and end (m, 2) of each command interval, and the commands (m, 4) in it.
+        Begin and end of each command interval, and the commands in it.
     in_newton
         Whether commands are rotor thrusts in N, not motor commands.
     imu_s, rate_frd, force_frd
-        Begin and end (k, 2) of each IMU interval, and the mean body rate (k, 3) in rad/s and specific force
-        (k, 3) in m/s^2 in it. Quantities that were not logged are empty.
+        Begin and end of each IMU interval, and the mean body rate in rad/s and specific force in m/s^2 in it.
+        Quantities that were not logged are empty.
     voltage_s, voltage_ratio
-        Times (l,), and battery voltage over full voltage (l,).
+        Times, and battery voltage over full voltage.
     span_s
         Begin and end of the tracking phase.
     """
 
-    pose_s: np.ndarray
-    p_ned: np.ndarray
-    R_ned_frd: np.ndarray
-    input_s: np.ndarray
-    command: np.ndarray
+    pose_s: Annotated[np.ndarray, "poses"]
+    p_ned: Annotated[np.ndarray, "poses 3"]
+    R_ned_frd: Annotated[np.ndarray, "poses 3 3"]
+    input_s: Annotated[np.ndarray, "inputs 2"]
+    command: Annotated[np.ndarray, "inputs 4"]
     in_newton: bool
-    imu_s: np.ndarray
-    rate_frd: np.ndarray
-    force_frd: np.ndarray
-    voltage_s: np.ndarray
-    voltage_ratio: np.ndarray
+    imu_s: Annotated[np.ndarray, "intervals 2"]
+    rate_frd: Annotated[np.ndarray, "_ 3"]
+    force_frd: Annotated[np.ndarray, "_ 3"]
+    voltage_s: Annotated[np.ndarray, "voltages"]
+    voltage_ratio: Annotated[np.ndarray, "voltages"]
     span_s: tuple[float, float]
 
 
@@ -170,8 +171,8 @@ def pose_interval_s(s: Signals) -> float:
     return float(np.median(np.diff(s.pose_s)))
 
 
-def noise(s: Signals) -> np.ndarray:
-    """Return the noise (4,) of position (m), attitude (rad), body rate (rad/s) and specific force (m/s^2).
+def noise(s: Signals) -> Annotated[np.ndarray, "4"]:
+    """Return the noise of position (m), attitude (rad), body rate (rad/s) and specific force (m/s^2).
 
     Standard deviations come from third differences of the signals, but are at least the floors of RULES.
     """
@@ -201,11 +202,15 @@ def _robust(x: np.ndarray) -> float:
     return float(1.4826 * np.median(np.abs(x)))
 
 
-def averaged(edges_s: np.ndarray, interval_s: np.ndarray, value: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Return the means (n, k) of interval data in n steps of a grid, and the covered share (n,) of each step.
+def averaged(
+    edges_s: Annotated[np.ndarray, "edges"],
+    interval_s: Annotated[np.ndarray, "intervals 2"],
+    value: Annotated[np.ndarray, "intervals columns"],
+) -> tuple[Annotated[np.ndarray, "steps columns"], Annotated[np.ndarray, "steps"]]:
+    """Return the means of interval data in the steps of a grid, and the covered share of each step.
 
-    edges_s (n + 1,): edges of the steps. interval_s (m, 2): begin and end of the intervals, in order. value
-    (m, k): data of the intervals.
+    edges_s: edges of the steps. interval_s: begin and end of the intervals, in order. value: data of the
+    intervals.
     """
     length = np.maximum(interval_s[:, 1] - interval_s[:, 0], 1e-9)
     knots = np.ravel(interval_s)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -32,8 +33,10 @@ class UnusedStretch:
     code: Code
 
 
-def within(t: np.ndarray, span_s: tuple[float, float]) -> np.ndarray:
-    """Return the mask (n,) of the times t (n,) that lie in the span."""
+def within(
+    t: Annotated[np.ndarray, "samples"], span_s: tuple[float, float]
+) -> Annotated[np.ndarray, "samples"]:
+    """Return the mask of the times t that lie in the span."""
     return (t >= span_s[0]) & (t <= span_s[1])
 
 
@@ -43,8 +46,10 @@ def clipped_stretch(s: Signals, start_s: float, end_s: float, code: Code) -> Unu
     return UnusedStretch(start_s=max(start_s, a) - a, end_s=min(end_s, b) - a, code=code)
 
 
-def runs_of(t: np.ndarray, bad: np.ndarray) -> list[tuple[float, float]]:
-    """Return the first and last time of each unbroken run of `bad` samples; t and bad are (n,)."""
+def runs_of(
+    t: Annotated[np.ndarray, "samples"], bad: Annotated[np.ndarray, "samples"]
+) -> list[tuple[float, float]]:
+    """Return the first and last time of each unbroken run of `bad` samples at times t."""
     edges = np.flatnonzero(np.diff(np.r_[False, bad, False].astype(int)))
     return [(float(t[a]), float(t[b - 1])) for a, b in zip(edges[::2], edges[1::2], strict=True)]
 

@@ -11,7 +11,7 @@ import importlib
 import warnings
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -121,7 +121,9 @@ def _shown(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
     return [name for name in space.candidates if max(rms[i] for i in space.groups[name]) > LEAST]
 
 
-def weak_sindy(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
+def weak_sindy(
+    space: ParameterSpace, series: Sequence[Annotated[np.ndarray, "samples 6 columns"]]
+) -> list[str]:
     """Return the effects with a term in PySINDy's weak-form sparse regression, the greatest term first.
 
     Every channel of every flight is a trajectory of an integrated residual. The library's columns are its
@@ -173,7 +175,9 @@ def weak_sindy(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]
     return sorted((name for name in sizes if sizes[name] > 0.0), key=lambda name: -sizes[name])
 
 
-def stepwise_bic(space: ParameterSpace, series: Sequence[np.ndarray]) -> list[str]:
+def stepwise_bic(
+    space: ParameterSpace, series: Sequence[Annotated[np.ndarray, "samples 6 columns"]]
+) -> list[str]:
     """Return the effects that forward selection by the Bayesian information criterion adds, in that order.
 
     The regression is in weak form: means over bump-weighted windows that overlap by half.

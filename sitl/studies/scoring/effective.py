@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -37,15 +38,15 @@ Values = dict[str, dict[str, float]]
 class Effective:
     """A world in terms of the library's forms, with the information in its flights.
 
-    `candidates` maps the name of an effect to the candidate of tracing. `z` (P,) and `covariance` (P, P) are
-    scaled. `gram` (P, P) is of the whitened slopes.
+    `candidates` maps the name of an effect to the candidate of tracing. `z` and `covariance` are scaled.
+    `gram` is of the whitened slopes.
     """
 
     space: ParameterSpace
     candidates: Mapping[str, str]
-    z: np.ndarray
-    covariance: np.ndarray
-    gram: np.ndarray
+    z: Annotated[np.ndarray, "parameters"]
+    covariance: Annotated[np.ndarray, "parameters parameters"]
+    gram: Annotated[np.ndarray, "parameters parameters"]
 
     @property
     def values(self) -> Values:
@@ -107,8 +108,10 @@ def _away(space: ParameterSpace, name: str, values: Mapping[str, float]) -> dict
     return {column.key: values.get(column.key, column.neutral) - column.neutral for column in columns}
 
 
-def deviations_scaled(space: ParameterSpace, away: Mapping[str, float]) -> np.ndarray:
-    """Return the scaled parameters (P,) of distances from neutral by "effect.parameter"."""
+def deviations_scaled(
+    space: ParameterSpace, away: Mapping[str, float]
+) -> Annotated[np.ndarray, "parameters"]:
+    """Return the scaled parameters of distances from neutral by "effect.parameter"."""
     return np.array([away.get(f"{c.owner}.{c.key}", 0.0) / c.scale for c in space.columns])
 
 
