@@ -4,8 +4,8 @@ The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
 
 - e: sensor noise of unit variance;
 - dx0: free initial state, projected out before the Grams reach this module;
-- dtheta: change of the scaled parameters theta_scaled (P,);
-- dl: change of the nuisances (K,) of the flight;
+- dtheta: change of theta_scaled, the scaled parameters;
+- dl: change of the nuisances of the flight;
 - w: process disturbance, six components (force and torque) in each bin of 0.1 s.
 
 Only the Gram matrix of [r | S | L | Z] of each segment is kept, so the evidence of any set of effects costs
@@ -19,6 +19,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
@@ -44,18 +45,18 @@ class DisturbanceVariances:
     log_axial: float
     log_torque: float
 
-    def sigma(self) -> np.ndarray:
-        """Return standard deviations (6,) of the disturbance, FRD: force x, y, z, torque x, y, z."""
+    def sigma(self) -> Annotated[np.ndarray, "6"]:
+        """Return standard deviations of the disturbance, FRD: force x, y, z, torque x, y, z."""
         logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
         return np.exp(0.5 * np.array(logs))
 
-    def covariance(self, bins: int) -> np.ndarray:
-        """Return the covariance (6 * bins, 6 * bins) of the disturbance, ordered by bin, then component."""
+    def covariance(self, bins: int) -> Annotated[np.ndarray, "disturbances disturbances"]:
+        """Return the covariance of the disturbance, ordered by bin, then component."""
         return np.kron(correlation(bins), np.diag(self.sigma() ** 2))
 
 
-def correlation(bins: int) -> np.ndarray:
-    """Return the correlation (bins, bins) of the disturbance between bins."""
+def correlation(bins: int) -> Annotated[np.ndarray, "bins bins"]:
+    """Return the correlation of the disturbance between bins."""
     lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
     return RULES.disturbance_correlation**lag
 
@@ -64,19 +65,18 @@ def correlation(bins: int) -> np.ndarray:
 class Linearisation:
     """Grams of [r | S | L | Z] of every segment at one point, with initial states projected out.
 
-    gram: (segments, 1 + P + K + 6 * bins, same). flight (segments,): index of the flight of each segment.
-    theta_scaled (P,): scaled parameters. nuisances (flights, K): sensor and flight errors that are constant
-    over a flight.
+    flight: index of the flight of each segment. theta_scaled: scaled parameters. nuisances: sensor and flight
+    errors that are constant over a flight. Z has six columns for each bin.
     """
 
-    gram: np.ndarray
-    flight: np.ndarray
-    theta_scaled: np.ndarray
-    nuisances: np.ndarray
+    gram: Annotated[np.ndarray, "segments all_columns all_columns"]
+    flight: Annotated[np.ndarray, "segments"]
+    theta_scaled: Annotated[np.ndarray, "parameters"]
+    nuisances: Annotated[np.ndarray, "flights nuisances"]
 
     @property
     def parameters(self) -> int:
-        """Number P of scaled parameters."""
+        """Number of scaled parameters."""
         return len(self.theta_scaled)
 
     @property
@@ -85,8 +85,13 @@ class Linearisation:
         return (self.gram.shape[1] - 1 - self.parameters - self.nuisances.shape[1]) // 6
 
     @cached_property
-    def by_innovations(self) -> tuple[np.ndarray, np.ndarray]:
-        """Grams Z' Z (segments, 6 * bins, 6 * bins) and Z' [r | S | L] of the innovations.
+    def by_innovations(
+        self,
+    ) -> tuple[
+        Annotated[np.ndarray, "segments innovations innovations"],
+        Annotated[np.ndarray, "segments innovations columns"],
+    ]:
+        """Grams Z' Z and Z' [r | S | L] of the innovations.
 
         The innovations of the bins are independent, so their covariance is diagonal for every process.
         """
@@ -99,17 +104,16 @@ class Linearisation:
 class Prior:
     """Prior standard deviations of parameters and nuisances.
 
-    groups: column indices of each candidate or adjustment. spike (P,): standard deviation of each parameter,
-    scaled, if its effect is not selected. nuisance_sigma (K,): standard deviations of the nuisances of a
-    flight, in physical units.
+    groups: column indices of each candidate or adjustment. spike: standard deviation of each parameter,
+    scaled, if its effect is not selected. nuisance_sigma: those of a flight's nuisances, in physical units.
     """
 
     groups: dict[str, tuple[int, ...]]
-    spike: np.ndarray
-    nuisance_sigma: np.ndarray
+    spike: Annotated[np.ndarray, "parameters"]
+    nuisance_sigma: Annotated[np.ndarray, "nuisances"]
 
-    def precision(self, selected: Sequence[str]) -> np.ndarray:
-        """Return the prior precision (P,), scaled, if the effects `selected` are in the model."""
+    def precision(self, selected: Sequence[str]) -> Annotated[np.ndarray, "parameters"]:
+        """Return the prior precision, scaled, if the effects `selected` are in the model."""
         sigma = self.spike.copy()
         for name in selected:
             for column in self.groups[name]:
@@ -121,16 +125,15 @@ class Prior:
 class MarginalGrams:
     """Grams of [r | S] with the disturbance and the nuisances of the flights integrated out.
 
-    gram (1 + P, 1 + P): sum over all flights. log_det: log determinant of the noise covariance with the
-    nuisances integrated out. flight_grams (flights, 1 + P, 1 + P): the same Grams for each flight, without
-    the constant (nuisances / nuisance_sigma)^2 in gram[0, 0]. nuisance_gram (flights, 1 + P + K, same): Grams
-    of [r | S | L], from which `nuisance_step` solves for the nuisances.
+    gram: sum over all flights. log_det: log determinant of the noise covariance with the nuisances integrated
+    out. flight_grams: the same Grams for each flight, without the constant (nuisances / nuisance_sigma)^2 in
+    gram[0, 0]. nuisance_gram: Grams of [r | S | L], from which `nuisance_step` solves for the nuisances.
     """
 
-    gram: np.ndarray
+    gram: Annotated[np.ndarray, "columns columns"]
     log_det: float
-    flight_grams: np.ndarray
-    nuisance_gram: np.ndarray
+    flight_grams: Annotated[np.ndarray, "flights columns columns"]
+    nuisance_gram: Annotated[np.ndarray, "flights all_columns all_columns"]
 
 
 def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Prior) -> MarginalGrams:
@@ -160,8 +163,10 @@ def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Pri
     return MarginalGrams(gram=gram, log_det=log_det, flight_grams=flight_grams, nuisance_gram=flights)
 
 
-def nuisance_step(lin: Linearisation, white: MarginalGrams, prior: Prior, step: np.ndarray) -> np.ndarray:
-    """Return the step (flights, K) of the nuisances if the scaled parameters move by `step` (P,)."""
+def nuisance_step(
+    lin: Linearisation, white: MarginalGrams, prior: Prior, step: Annotated[np.ndarray, "parameters"]
+) -> Annotated[np.ndarray, "flights nuisances"]:
+    """Return the step of the nuisances if the scaled parameters move by `step`."""
     m = 1 + lin.parameters
     precision = 1.0 / prior.nuisance_sigma**2
     inner = white.nuisance_gram[:, m:, m:] + np.diag(precision)
@@ -170,32 +175,19 @@ def nuisance_step(lin: Linearisation, white: MarginalGrams, prior: Prior, step: 
 
 
 def log_evidence(
-    gram: np.ndarray,
+    gram: Annotated[np.ndarray, "columns columns"],
     log_det: float,
-    theta_scaled: np.ndarray,
-    precision: np.ndarray,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    precision: Annotated[np.ndarray, "parameters"],
     count: int,
-    limits: tuple[np.ndarray, np.ndarray],
+    limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
 ) -> float:
     """Return log evidence plus log prior of a set of effects in a linearisation, in nats, up to a constant.
 
-    The quadratic is evaluated at the best point within `limits`. An effect cannot gain evidence from a value
-    outside its physical bounds.
-
-    Parameters
-    ----------
-    gram
-        Gram (1 + P, 1 + P) of the whitened [r | S].
-    log_det
-        Log determinant of the covariance by which they were whitened.
-    theta_scaled
-        Scaled parameters (P,) of the linearisation.
-    precision
-        Prior precision (P,) of the set, scaled.
-    count
-        Number of effects in the set.
-    limits
-        Lower and upper bounds (P,) of the scaled parameters.
+    gram: of the whitened [r | S], linearised at theta_scaled. log_det: log determinant of the covariance by
+    which they were whitened. precision: of the prior of the set, scaled. count: number of effects in the set.
+    The quadratic is evaluated at the best point within `limits`, the lower and upper bounds: an effect cannot
+    gain evidence from a value outside its physical bounds.
     """
     rhs = gram[0, 1:] - precision * theta_scaled
     normal = gram[1:, 1:] + np.diag(precision)
@@ -211,12 +203,15 @@ def log_evidence(
 
 
 def minimise_in_box(
-    normal: np.ndarray, minimum: np.ndarray, lower: np.ndarray, upper: np.ndarray
-) -> np.ndarray:
-    """Return an approximate minimiser (P,) of a quadratic between `lower` and `upper` (P,).
+    normal: Annotated[np.ndarray, "parameters parameters"],
+    minimum: Annotated[np.ndarray, "parameters"],
+    lower: Annotated[np.ndarray, "parameters"],
+    upper: Annotated[np.ndarray, "parameters"],
+) -> Annotated[np.ndarray, "parameters"]:
+    """Return an approximate minimiser of a quadratic between `lower` and `upper`.
 
-    normal (P, P): Hessian of the quadratic. minimum (P,): its unconstrained minimum. Components that cross a
-    bound are fixed there, and the others are solved again until none crosses.
+    normal: Hessian of the quadratic. minimum: its unconstrained minimum. Components that cross a bound are
+    fixed there, and the others are solved again until none crosses.
     """
     fixed, at = np.zeros(len(minimum), dtype=bool), minimum
     while ((at < lower) | (at > upper)).any():
@@ -230,23 +225,27 @@ def minimise_in_box(
 
 
 def posterior(
-    gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step (P,) to the posterior mean and the posterior covariance (P, P), scaled.
+    gram: Annotated[np.ndarray, "columns columns"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    precision: Annotated[np.ndarray, "parameters"],
+) -> tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters parameters"]]:
+    """Return the step to the posterior mean and the posterior covariance, scaled.
 
-    gram (1 + P, 1 + P): of the whitened [r | S], linearised at theta_scaled (P,). precision (P,): of the
-    prior.
+    gram: of the whitened [r | S], linearised at theta_scaled. precision: of the prior.
     """
     covariance = np.linalg.inv(gram[1:, 1:] + np.diag(precision))
     return covariance @ (gram[0, 1:] - precision * theta_scaled), covariance
 
 
 def bounded_step(
-    gram: np.ndarray, theta_scaled: np.ndarray, precision: np.ndarray, limits: tuple[np.ndarray, np.ndarray]
-) -> tuple[np.ndarray, np.ndarray]:
-    """Return the step (P,) to the best point within `limits`, and the posterior covariance (P, P), scaled.
+    gram: Annotated[np.ndarray, "columns columns"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    precision: Annotated[np.ndarray, "parameters"],
+    limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
+) -> tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters parameters"]]:
+    """Return the step to the best point within `limits`, and the posterior covariance, scaled.
 
-    Arguments are those of `posterior`; limits: lower and upper bounds (P,). The other parameters adapt to a
+    Arguments are those of `posterior`; limits: lower and upper bounds. The other parameters adapt to a
     parameter that stops at its bound. If the step of `posterior` were clipped instead, they would not.
     """
     step, covariance = posterior(gram, theta_scaled, precision)
@@ -284,7 +283,7 @@ def _evidence_and_slope(
 ) -> tuple[float, np.ndarray]:
     """Return the log evidence of a set and its gradient (3,) with respect to the log variances.
 
-    precision (P,): of the prior of the set. The derivative with respect to a log variance is half the sum of
+    precision: of the prior of the set. The derivative with respect to a log variance is half the sum of
     E[w^2 | data] - 1 over its innovations w, in units of sigma (Fisher's identity).
     """
     m = 1 + lin.parameters
@@ -333,13 +332,15 @@ def _evidence_and_slope(
 
 
 def disturbances(
-    lin: Linearisation, process: DisturbanceVariances, step: np.ndarray, nuisances: np.ndarray
-) -> np.ndarray:
-    """Return the best linear prediction (segments, bins, 6), FRD, of the disturbance.
+    lin: Linearisation,
+    process: DisturbanceVariances,
+    step: Annotated[np.ndarray, "parameters"],
+    nuisances: Annotated[np.ndarray, "flights nuisances"],
+) -> Annotated[np.ndarray, "segments bins 6"]:
+    """Return the best linear prediction, FRD, of the disturbance.
 
-    step (P,): change of the scaled parameters from the linearisation. nuisances (flights, K): change of the
-    nuisances. Force in m/s^2, then angular acceleration in rad/s^2 or, if the measured body rate drives the
-    attitude, body rate in rad/s.
+    step, nuisances: changes from the linearisation. Force in m/s^2, then angular acceleration in rad/s^2 or,
+    if the measured body rate drives the attitude, body rate in rad/s.
     """
     m = 1 + lin.parameters
     n = m + lin.nuisances.shape[1]

@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -122,8 +122,8 @@ class ParameterSpace:
         return tuple(name for name in self.owners if name in self.effects)
 
     @property
-    def scale(self) -> np.ndarray:
-        """Scales (P,) of the parameters, each in its unit."""
+    def scale(self) -> Annotated[np.ndarray, "parameters"]:
+        """Scales of the parameters, each in its unit."""
         return np.array([column.scale for column in self.columns])
 
     @property
@@ -133,26 +133,28 @@ class ParameterSpace:
         return Prior(groups=self.groups, spike=spike, nuisance_sigma=np.array(self.nuisance_sigma))
 
     def values(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Return the physical values of scaled parameters, (P,) or (P, lanes)."""
+        """Return the physical values of scaled parameters, (parameters,) or (parameters, lanes)."""
         neutral = np.array([column.neutral for column in self.columns])
         shape = (-1,) + (1,) * (theta_scaled.ndim - 1)
         return neutral.reshape(shape) + self.scale.reshape(shape) * theta_scaled
 
     @cached_property
-    def bounds(self) -> tuple[np.ndarray, np.ndarray]:
-        """Lower and upper bounds (P,) of theta_scaled."""
+    def bounds(self) -> tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]]:
+        """Lower and upper bounds of theta_scaled."""
         limits = [((c.lower - c.neutral) / c.scale, (c.upper - c.neutral) / c.scale) for c in self.columns]
         lower, upper = np.array(limits).T
         return lower, upper
 
-    def clipped(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Return theta_scaled (P,) clipped to the bounds."""
+    def clipped(
+        self, theta_scaled: Annotated[np.ndarray, "parameters"]
+    ) -> Annotated[np.ndarray, "parameters"]:
+        """Return theta_scaled clipped to the bounds."""
         return np.clip(theta_scaled, *self.bounds)
 
-    def check_finite(self, sizes: np.ndarray) -> None:
+    def check_finite(self, sizes: Annotated[np.ndarray, "columns"]) -> None:
         """Raise UsageError if roll-outs diverge; it names the parameter, or the effects with states.
 
-        sizes (1 + P,): norm of the residual, then of the slope of each parameter.
+        sizes: norm of the residual, then of the slope of each parameter.
         """
         bad = np.flatnonzero(~np.isfinite(sizes))
         if not len(bad):
@@ -167,8 +169,10 @@ class ParameterSpace:
             "return, or remove the effect"
         )
 
-    def at_bound(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Return the mask (P,) of entries of theta_scaled that are at a bound other than neutral."""
+    def at_bound(
+        self, theta_scaled: Annotated[np.ndarray, "parameters"]
+    ) -> Annotated[np.ndarray, "parameters"]:
+        """Return the mask of entries of theta_scaled that are at a bound other than neutral."""
         lower, upper = self.bounds
         return ((theta_scaled <= lower + 1e-9) & (lower < 0.0)) | (
             (theta_scaled >= upper - 1e-9) & (upper > 0.0)

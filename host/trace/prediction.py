@@ -10,6 +10,7 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -37,19 +38,19 @@ _ROLL_OUT_STEP_S = 0.005
 
 @dataclass(frozen=True, kw_only=True)
 class Errors:
-    """Prediction errors of one flight at times t_s (n,) in s.
+    """Prediction errors of one flight at times t_s in s.
 
-    flight: id of the log. reference_id: id of its reference. p_error_ned (n, 3) m and v_error_ned (n, 3) m/s:
-    measured minus predicted, NED. p_predicted_ned, p_measured_ned (n, 3): positions in m, NED.
+    flight: id of the log. reference_id: id of its reference. p_error_ned in m and v_error_ned in m/s:
+    measured minus predicted, NED. p_predicted_ned, p_measured_ned: positions in m, NED.
     """
 
     flight: str
     reference_id: str | None
-    t_s: np.ndarray
-    p_error_ned: np.ndarray
-    v_error_ned: np.ndarray
-    p_predicted_ned: np.ndarray
-    p_measured_ned: np.ndarray
+    t_s: Annotated[np.ndarray, "times"]
+    p_error_ned: Annotated[np.ndarray, "times 3"]
+    v_error_ned: Annotated[np.ndarray, "times 3"]
+    p_predicted_ned: Annotated[np.ndarray, "times 3"]
+    p_measured_ned: Annotated[np.ndarray, "times 3"]
 
 
 def rmse(errors: Sequence[Errors]) -> dict[str, float]:
@@ -62,8 +63,12 @@ def rmse(errors: Sequence[Errors]) -> dict[str, float]:
     }
 
 
-def motion(data: FlightData) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Return times (n,) in s since arming, positions (n, 3) in m and velocities (n, 3) in m/s, NED.
+def motion(
+    data: FlightData,
+) -> tuple[
+    Annotated[np.ndarray, "times"], Annotated[np.ndarray, "times 3"], Annotated[np.ndarray, "times 3"]
+]:
+    """Return times in s since arming, positions in m and velocities in m/s, NED.
 
     They come from local quadratics through the poses of the tracking phase, over windows of 0.11 s or, at
     low pose rates, of seven pose intervals.
@@ -162,9 +167,11 @@ def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[s
 
 
 def predict_segments(
-    flights: Sequence[FlightData], segment_model: SegmentModel, theta_scaled: np.ndarray
+    flights: Sequence[FlightData],
+    segment_model: SegmentModel,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
 ) -> tuple[Errors, ...]:
-    """Return the errors of predictions over 0.6 s from recorded inputs at theta_scaled (P,).
+    """Return the errors of predictions over 0.6 s from recorded inputs at theta_scaled.
 
     The initial state of each prediction is fitted to the 0.3 s before it. The nuisances of a flight are
     fitted to its first quarter (RULES.calibration_share), and predictions begin after that, so no prediction
@@ -225,7 +232,7 @@ def predict_segments(
 def _fitted_nuisances(
     segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int
 ) -> np.ndarray:
-    """Return the nuisances (flights, 9) of held-out flights at theta_scaled (P,); 0 without segments.
+    """Return the nuisances (flights, 9) of held-out flights at theta_scaled; 0 without segments.
 
     data: segments of the flights. flights: number of flights.
     """

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import combinations
-from typing import Generic, Protocol, TypeVar
+from typing import Annotated, Generic, Protocol, TypeVar
 
 import numpy as np
 
@@ -27,14 +27,14 @@ OnProgress = Callable[[str], None]
 
 
 class Fitted(Protocol):
-    """A fitted set of effects: its log evidence, nats, and scaled parameters theta_scaled (P,)."""
+    """A fitted set of effects: its log evidence, nats, and scaled parameters theta_scaled."""
 
     @property
     def effects(self) -> Names: ...
     @property
     def log_evidence(self) -> float: ...
     @property
-    def theta_scaled(self) -> np.ndarray: ...
+    def theta_scaled(self) -> Annotated[np.ndarray, "parameters"]: ...
 
 
 F = TypeVar("F", bound=Fitted)

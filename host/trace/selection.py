@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -83,7 +83,11 @@ class Diagnosis:
         return null_probability_of(self.posterior_weights)
 
 
-def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray) -> dict[str, float]:
+def detectability(
+    space: ParameterSpace,
+    gram: Annotated[np.ndarray, "columns columns"],
+    precision: Annotated[np.ndarray, "parameters"],
+) -> dict[str, float]:
     """Return by how many sigma each effect of typical size would show.
 
     The value is sqrt(theta' S' (I - Q) S theta), where theta sets all parameters of the effect to one typical
@@ -91,7 +95,7 @@ def detectability(space: ParameterSpace, gram: np.ndarray, precision: np.ndarray
     greatest value counts. An effect that acts through another one is detectable only if that one is present,
     since its slope is 0 otherwise.
 
-    gram (1 + P, 1 + P): of the whitened [residual | slopes S]. precision (P,): of the prior of the other
+    gram: of the whitened [residual | slopes S]. precision: of the prior of the other
     parameters, scaled.
     """
     hessian = gram[1:, 1:] + np.diag(precision)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -17,8 +18,8 @@ from trimtab.host.trace.segment_fit.fit import SegmentFit
 
 def inflated_flight_covariance(
     space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
-) -> np.ndarray:
-    """Return the covariance (P, P), scaled, of a flight fit, widened by the jackknife over flights.
+) -> Annotated[np.ndarray, "parameters parameters"]:
+    """Return the covariance, scaled, of a flight fit, widened by the jackknife over flights.
 
     closed: the fit. strata: groups of indices of flights that are alike; all flights if None. Each standard
     deviation is widened by a factor of at least RULES.min_widening.
@@ -28,8 +29,10 @@ def inflated_flight_covariance(
     return closed.covariance * np.outer(widened, widened)
 
 
-def inflated_segment_covariance(space: ParameterSpace, fit: SegmentFit) -> np.ndarray:
-    """Return the covariance (P, P), scaled, of a segment fit, widened by the jackknife and the discrepancy.
+def inflated_segment_covariance(
+    space: ParameterSpace, fit: SegmentFit
+) -> Annotated[np.ndarray, "parameters parameters"]:
+    """Return the covariance, scaled, of a segment fit, widened by the jackknife and the discrepancy.
 
     The jackknife is over flights, or over RULES.jackknife_pieces parts of each flight if there are fewer
     flights than that. `Column.discrepancy` is added in squares.
@@ -54,12 +57,12 @@ def _in_pieces(lin: Linearisation) -> Linearisation:
 
 
 def jackknife_by_flight(
-    grams: np.ndarray,
-    theta_scaled: np.ndarray,
-    precision: np.ndarray,
+    grams: Annotated[np.ndarray, "flights columns columns"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    precision: Annotated[np.ndarray, "parameters"],
     strata: Sequence[Sequence[int]] | None = None,
-) -> np.ndarray:
-    """Return factors (P,), at least 1, that widen standard deviations by the disagreement between flights.
+) -> Annotated[np.ndarray, "parameters"]:
+    """Return factors, at least 1, that widen standard deviations by the disagreement between flights.
 
     Errors that repeat within a flight but not between flights do not average out as the posterior assumes.
     Efron's jackknife measures them: the spread of the fits that each leave one flight out, over the spread
@@ -70,11 +73,11 @@ def jackknife_by_flight(
     Parameters
     ----------
     grams
-        Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes].
+        Grams of the whitened [residual | slopes].
     theta_scaled
-        Scaled parameters (P,) of the linearisation.
+        Scaled parameters of the linearisation.
     precision
-        Prior precision (P,), scaled.
+        Prior precision, scaled.
     strata
         Groups of indices of flights that are alike; all flights if None. Differences between strata, such as
         other references, do not count, since they are no chance.

@@ -6,6 +6,7 @@ Flights may determine the ratio of the parameters of the two effects, but not th
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -23,7 +24,10 @@ class ObservedAlias:
 
 
 def exact_aliases(
-    space: ParameterSpace, theta_scaled: np.ndarray, covariance: np.ndarray, name: str
+    space: ParameterSpace,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    covariance: Annotated[np.ndarray, "parameters parameters"],
+    name: str,
 ) -> dict[str, ObservedAlias]:
     """Return the exact aliases of the effect `name`, by the name of the other effect.
 
@@ -34,7 +38,7 @@ def exact_aliases(
     space
         Parameter space.
     theta_scaled, covariance
-        Estimate (P,) and its covariance (P, P), scaled.
+        Estimate and its covariance, scaled.
     name
         Name of the effect.
     """

@@ -14,6 +14,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Annotated
 
 import numpy as np
 
@@ -50,36 +51,36 @@ class FlightFit:
     effects
         The fitted set.
     theta_scaled, covariance
-        Estimate (P,) and its covariance (P, P), scaled.
+        Estimate and its covariance, scaled.
     at
-        Scaled parameters (P,) of the last linearisation.
+        Scaled parameters of the last linearisation.
     log_evidence
         In nats.
     whitening
         Whitening of the residual.
     grams
-        Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes], linearised at `at`.
+        Grams of the whitened [residual | slopes], linearised at `at`.
     error_m
         Root mean square of the position residual.
     """
 
     effects: tuple[str, ...]
-    theta_scaled: np.ndarray
-    at: np.ndarray
-    covariance: np.ndarray
+    theta_scaled: Annotated[np.ndarray, "parameters"]
+    at: Annotated[np.ndarray, "parameters"]
+    covariance: Annotated[np.ndarray, "parameters parameters"]
     log_evidence: float
     whitening: Whitening
-    grams: np.ndarray
+    grams: Annotated[np.ndarray, "flights columns columns"]
     error_m: float
 
 
 def whitened_grams(
     white: Whitening, loop: ClosedLoop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
-) -> np.ndarray:
-    """Return the Grams (flights, 1 + P, 1 + P) of the whitened [residual | slopes].
+) -> Annotated[np.ndarray, "flights columns columns"]:
+    """Return the Grams of the whitened [residual | slopes].
 
-    base: residual (bins, 12) of each flight, measured minus predicted. slopes: derivatives (P, bins, 12) of
-    the prediction of each flight with respect to theta_scaled.
+    base: residual (bins, 12) of each flight, measured minus predicted. slopes: derivatives
+    (parameters, bins, 12) of the prediction of each flight with respect to theta_scaled.
     """
     grams = []
     for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
@@ -89,12 +90,12 @@ def whitened_grams(
 
 
 def fit_closed_loop(
-    loop: ClosedLoop, effects: Sequence[str], theta_scaled: np.ndarray, order: int
+    loop: ClosedLoop, effects: Sequence[str], theta_scaled: Annotated[np.ndarray, "parameters"], order: int
 ) -> FlightFit:
     """Fit the set `effects` to whole flights by Gauss-Newton with a line search.
 
-    theta_scaled (P,): start of the fit. order: order of the autoregression, which is fitted again to the
-    residual of every linear step.
+    theta_scaled: start of the fit. order: order of the autoregression, which is fitted again to the residual
+    of every linear step.
     """
     space = loop.space
     precision = prior_of(space).precision(effects)
@@ -160,8 +161,8 @@ def prior_of(space: ParameterSpace) -> Prior:
     return replace(space.prior, spike=np.hypot(tolerance, loop_discrepancy(space)))
 
 
-def loop_discrepancy(space: ParameterSpace) -> np.ndarray:
-    """Return the loop discrepancy (P,) of every parameter.
+def loop_discrepancy(space: ParameterSpace) -> Annotated[np.ndarray, "parameters"]:
+    """Return the loop discrepancy of every parameter.
 
     It is the standard deviation, scaled, of the value that flight fits show although the effect is absent.
     """
@@ -178,7 +179,7 @@ def _line_search(
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return the best point along `step` by the cost of full roll-outs, and the residuals there.
 
-    The candidates are theta_scaled (P,) itself and theta_scaled plus the shares _LINE of `step` (P,). base:
+    The candidates are theta_scaled itself and theta_scaled plus the shares _LINE of `step`. base:
     residual (bins, 12) of each flight at theta_scaled.
     """
     points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
@@ -258,7 +259,7 @@ class FlightFitter:
         return self._starts[key]
 
     def _best_start(self, name: str, fit: FlightFit) -> tuple[float, np.ndarray]:
-        """Return the gain in nats of the effect at the best of its starts, and theta_scaled (P,) there.
+        """Return the gain in nats of the effect at the best of its starts, and theta_scaled there.
 
         Treat the change of the prediction from `fit` to the start as one regressor with a non-negative
         coefficient. The gain is that of its best coefficient, with all other parameters free under the prior
@@ -299,15 +300,19 @@ def fit_with_whitening(
     loop: ClosedLoop,
     white: Whitening,
     effects: Sequence[str],
-    theta_scaled: np.ndarray,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
     *,
-    centre: np.ndarray | float = 0.0,
+    centre: Annotated[np.ndarray, "parameters"] | float = 0.0,
     flight_weight: float = 1.0,
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Fit `effects` with a given whitening; return estimate, covariance and Grams.
+) -> tuple[
+    Annotated[np.ndarray, "parameters"],
+    Annotated[np.ndarray, "parameters parameters"],
+    Annotated[np.ndarray, "flights columns columns"],
+]:
+    """Fit `effects` with a given whitening; return estimate and covariance, scaled, and Grams.
 
-    The Grams are divided by RULES.temper, since the innovations stay correlated over about a second (see
-    `whitening`).
+    The Grams of the whitened [residual | slopes] are divided by RULES.temper, since the innovations stay
+    correlated over about a second (see `whitening`).
 
     Parameters
     ----------
@@ -318,17 +323,11 @@ def fit_with_whitening(
     effects
         Effects that are free within the slab; all others stay within the spike of the prior.
     theta_scaled
-        Start (P,) of the fit, scaled.
+        Start of the fit, scaled.
     centre
-        Mean (P,) of the prior, scaled.
+        Mean of the prior, scaled.
     flight_weight
         Weight of each flight.
-
-    Returns
-    -------
-    theta_scaled, covariance, grams
-        Scaled parameters (P,), their covariance (P, P), and Grams (flights, 1 + P, 1 + P) of the whitened
-        [residual | slopes].
     """
     precision = prior_of(loop.space).precision(effects)
     turn = 0

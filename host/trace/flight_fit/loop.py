@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -35,16 +36,16 @@ _THETA_STEP = 1e-4
 class _SettingGroup:
     """Flights with the same firmware parameters, which are rolled out together.
 
-    flights: n indices of recordings. fine: integration steps in SAMPLE_S. x0 (states, n), drive (stages, 22,
-    n) and constants (constants, n): inputs of `roll_out`, one column for each flight.
+    flights: indices of recordings. fine: integration steps in SAMPLE_S. x0, drive, constants: inputs of
+    `roll_out`, one column for each flight.
     """
 
     flights: tuple[int, ...]
     phi: Phi
     fine: int
-    x0: np.ndarray
-    drive: np.ndarray
-    constants: np.ndarray
+    x0: Annotated[np.ndarray, "states flights"]
+    drive: Annotated[np.ndarray, "stages 22 flights"]
+    constants: Annotated[np.ndarray, "16 flights"]
 
 
 class ClosedLoop:
@@ -83,8 +84,8 @@ class ClosedLoop:
         """Masks (bins,), one for each flight, of the bins in which all channels were measured."""
         return [recording.known for recording in self.recordings]
 
-    def predicted(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
-        """Return predicted bin means (lanes, bins, 12) for each flight at theta_scaled (P, lanes).
+    def predicted(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
+        """Return predicted bin means (lanes, bins, 12) for each flight at theta_scaled.
 
         The channels are those of `Recording.measured`.
         """
@@ -113,11 +114,11 @@ class ClosedLoop:
                 predictions[index] = _means(recording, flight_samples, latency_s)
         return [predictions[index] for index in range(len(self.recordings))]
 
-    def residuals(self, theta_scaled: np.ndarray) -> list[np.ndarray]:
+    def residuals(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
         """Return residuals (lanes, bins, 12), measured minus predicted, for each flight.
 
-        theta_scaled: (P, lanes). Position is resolved along the heading, attitude in FRD. The body-rate
-        residual has its mean over the flight removed.
+        Position is resolved along the heading, attitude in FRD. The body-rate residual has its mean over the
+        flight removed.
         """
         out = []
         for recording, predicted in zip(self.recordings, self.predicted(theta_scaled), strict=True):
@@ -128,13 +129,13 @@ class ClosedLoop:
 
     def slopes(
         self,
-        theta_scaled: np.ndarray,
+        theta_scaled: Annotated[np.ndarray, "parameters"],
         effects: Sequence[str],
         base: Sequence[np.ndarray],
         *,
         afresh: bool = False,
     ) -> list[np.ndarray]:
-        """Return the derivatives (P, bins, 12) of the prediction of each flight at theta_scaled (P,).
+        """Return the derivatives (parameters, bins, 12) of the prediction of each flight at theta_scaled.
 
         They are the negative derivatives of the residual, measured minus predicted.
 
@@ -146,7 +147,7 @@ class ClosedLoop:
         Parameters
         ----------
         theta_scaled
-            Scaled parameters (P,).
+            Scaled parameters.
         effects
             Effects whose slopes are computed again.
         base
@@ -240,11 +241,14 @@ def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
 
 
 def closed_loop(
-    flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace, theta_scaled: np.ndarray
+    flights: Sequence[FlightData],
+    vehicle: Vehicle,
+    space: ParameterSpace,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
 ) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    theta_scaled (P,): scaled parameters that give the pose latency. Raises TooLittleData if a log lacks a
+    theta_scaled: scaled parameters that give the pose latency. Raises TooLittleData if a log lacks a
     required topic.
     """
     values = space.by_owner(list(space.values(theta_scaled)))

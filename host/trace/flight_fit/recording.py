@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.sparse import csr_array
@@ -33,12 +34,12 @@ class Recording:
     states
         Initial state, control law and constants of the flight.
     pose_s, pose_bin
-        Stamps (m,) in s since the start of the reference, and bin (m,), of each pose.
+        Stamps in s since the start of the reference, and bin, of each pose.
     measured
-        Bin values (bins, 12), three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
+        Bin values, three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
         integral FRD. The rate integral is the value in the middle of the bin; the others are means.
     known
-        Mask (bins,) of the bins in which all channels were measured.
+        Mask of the bins in which all channels were measured.
     rates, integrals
         Matrices (bins, samples) that map states sampled every SAMPLE_S to what telemetry records of them.
         Gyro means cover whole telemetry intervals. The rate integral is interpolated linearly between
@@ -46,10 +47,10 @@ class Recording:
     """
 
     states: States
-    pose_s: np.ndarray
-    pose_bin: np.ndarray
-    measured: np.ndarray
-    known: np.ndarray
+    pose_s: Annotated[np.ndarray, "poses"]
+    pose_bin: Annotated[np.ndarray, "poses"]
+    measured: Annotated[np.ndarray, "bins 12"]
+    known: Annotated[np.ndarray, "bins"]
     rates: csr_array
     integrals: csr_array
 
@@ -100,8 +101,8 @@ def record(data: FlightData, states: States) -> Recording:
     )
 
 
-def bins_of_times(t_s: np.ndarray, bins: int) -> np.ndarray:
-    """Return the bin (n,) of each time (n,) in [0, bins * FLIGHT_BIN_S).
+def bins_of_times(t_s: Annotated[np.ndarray, "times"], bins: int) -> Annotated[np.ndarray, "times"]:
+    """Return the bin of each time in [0, bins * FLIGHT_BIN_S).
 
     A time just before the end may divide to `bins` in floating point; it belongs to the last bin.
     """
@@ -151,8 +152,8 @@ def _between_frames(at_s: np.ndarray, frames_s: np.ndarray) -> csr_array:
     return csr_array((weights, (rows, columns)), shape=(len(at_s), len(frames_s)))
 
 
-def interpolation(t_s: np.ndarray, samples: int) -> csr_array:
-    """Return the matrix (n, samples) of cubic interpolation at times t_s (n,).
+def interpolation(t_s: Annotated[np.ndarray, "times"], samples: int) -> csr_array:
+    """Return the matrix (times, samples) of cubic interpolation at times t_s.
 
     Samples are SAMPLE_S apart. The cubic goes through the four nearest samples.
     """

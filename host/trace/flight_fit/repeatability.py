@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import Annotated
 
 import numpy as np
 
@@ -33,7 +34,10 @@ _SHIFT_STEP = 5
 
 
 def repeatability_of(
-    loop: ClosedLoop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
+    loop: ClosedLoop,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    order: int,
+    repeat_flights: Sequence[tuple[int, int]],
 ) -> FlightRepeat | None:
     """Return how much of the residual repeats between repeat flights; None without repeat flights.
 
@@ -42,7 +46,7 @@ def repeatability_of(
     loop
         Closed-loop model with the recordings of the flights.
     theta_scaled
-        Scaled parameters (P,) at which the residual is computed.
+        Scaled parameters at which the residual is computed.
     order
         Greatest order of the autoregression that whitens the residual.
     repeat_flights
@@ -80,11 +84,14 @@ def repeatability_of(
 
 
 def turbulence(
-    loop: ClosedLoop, theta_scaled: np.ndarray, order: int, repeat_flights: Sequence[tuple[int, int]]
+    loop: ClosedLoop,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    order: int,
+    repeat_flights: Sequence[tuple[int, int]],
 ) -> Whitening | None:
     """Return the whitening of turbulence and noise, fitted to differences of repeat flights.
 
-    theta_scaled (P,): scaled parameters at which the residuals are computed. order: greatest order of the
+    theta_scaled: scaled parameters at which the residuals are computed. order: greatest order of the
     autoregression. repeat_flights: pairs of indices into the loop's recordings. Returns None without repeat
     flights.
     """

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -31,11 +32,11 @@ means over the first n windows.
 class Whitening:
     """A vector autoregression r_k = past_k A + e_k; past_k (12 order,) are means over WINDOWS before bin k.
 
-    coefficients: A (12 order, 12). innovation: covariance (12, 12) of e.
+    coefficients: A. innovation: covariance of e.
     """
 
-    coefficients: np.ndarray
-    innovation: np.ndarray
+    coefficients: Annotated[np.ndarray, "past 12"]
+    innovation: Annotated[np.ndarray, "12 12"]
 
     @property
     def order(self) -> int:
@@ -91,17 +92,19 @@ def _past(x: np.ndarray, order: int) -> np.ndarray:
     return out
 
 
-def usable_bins(known: np.ndarray, span: int) -> np.ndarray:
-    """Return the indices of bins that are known (bins,) together with the `span` bins before them."""
+def usable_bins(known: Annotated[np.ndarray, "bins"], span: int) -> Annotated[np.ndarray, "usable"]:
+    """Return the indices of bins that are known together with the `span` bins before them."""
     counts = np.convolve(known.astype(int), np.ones(span + 1, dtype=int))[: len(known)]
     usable = np.flatnonzero(counts == span + 1)
     return usable[usable >= span]
 
 
-def whitened(white: Whitening, columns: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return columns (m, bins, 12) of one flight as innovations (m, n) of unit covariance.
+def whitened(
+    white: Whitening, columns: Annotated[np.ndarray, "columns bins 12"], known: Annotated[np.ndarray, "bins"]
+) -> Annotated[np.ndarray, "columns innovations"]:
+    """Return columns of one flight as innovations of unit covariance.
 
-    known (bins,): mask. n = 12 times the number of bins that `usable_bins` returns.
+    known: mask. There are 12 innovations for each bin that `usable_bins` returns.
     """
     usable = usable_bins(known, white.span)
     whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))

@@ -7,6 +7,7 @@ motion; commands from the nominal vehicle; sensors, battery and disturbance from
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import numpy as np
 
@@ -37,12 +38,12 @@ class Instruments:
     Attributes
     ----------
     sigma
-        Standard deviations (4,) of means over DT_S: position m, attitude rad, body rate rad/s, specific force
+        Standard deviations of means over DT_S: position m, attitude rad, body rate rad/s, specific force
         m/s^2.
     shares
-        Shares (3,) of the steps that have a pose, a body rate and a specific force.
+        Shares of the steps that have a pose, a body rate and a specific force.
     voltage
-        Battery voltage over full voltage at the start, and its slope in 1/s (2,).
+        Battery voltage over full voltage at the start, and its slope in 1/s.
     process
         Process disturbance.
     in_newton
@@ -51,9 +52,9 @@ class Instruments:
         Whether the measured body rate drives the attitude.
     """
 
-    sigma: np.ndarray
-    shares: np.ndarray
-    voltage: np.ndarray
+    sigma: Annotated[np.ndarray, "4"]
+    shares: Annotated[np.ndarray, "3"]
+    voltage: Annotated[np.ndarray, "2"]
     process: DisturbanceVariances
     in_newton: bool
     rate_driven: bool
@@ -81,9 +82,12 @@ class Instruments:
 
 
 def information(
-    segment_model: SegmentModel, flat: np.ndarray, theta_scaled: np.ndarray, instruments: Instruments
-) -> np.ndarray | None:
-    """Return the information (P, P) of one flight along flat outputs; None if it is too short.
+    segment_model: SegmentModel,
+    flat: Annotated[np.ndarray, "14 times"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    instruments: Instruments,
+) -> Annotated[np.ndarray, "parameters parameters"] | None:
+    """Return the information of one flight along flat outputs; None if it is too short.
 
     It is S' S of the whitened slopes S, with the nuisances of the flight integrated out. A flight is too
     short if it holds no segment.
@@ -93,9 +97,9 @@ def information(
     segment_model
         Model of the segments.
     flat
-        Flat outputs (14, n) every DT_S, as in `Manoeuvre.flat`.
+        Flat outputs every DT_S, as in `Manoeuvre.flat`.
     theta_scaled
-        Scaled parameters (P,) of the linearisation.
+        Scaled parameters of the linearisation.
     instruments
         Sensors, battery and disturbance of the flight.
     """
@@ -119,7 +123,7 @@ def information(
 
 
 def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> Segments:
-    """Return the segments with a disturbance that keeps roll-outs at theta_scaled (P,) on their path.
+    """Return the segments with a disturbance that keeps roll-outs at theta_scaled on their path.
 
     The commands are those of the nominal vehicle, so a roll-out at theta_scaled would leave the path. The
     disturbance is an angular acceleration, computed from the error of the body rate. Forces do not rotate the
@@ -140,7 +144,7 @@ def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.
 
 
 def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segments | None:
-    """Return the segments of a flight that follows flat outputs (14, n) exactly; None if it is too short."""
+    """Return the segments of a flight that follows flat outputs exactly; None if it is too short."""
     steps = round(SEGMENT_S / DT_S)
     pre = max(1, int(np.ceil(RUN_UP_LAGS * vehicle.motor_lag_s / DT_S)))
     count = (flat.shape[1] - pre - 1) // steps
@@ -185,11 +189,15 @@ def _along(vehicle: Vehicle, flat: np.ndarray, instruments: Instruments) -> Segm
     )
 
 
-def flat_commands(vehicle: Vehicle, flat: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def flat_commands(
+    vehicle: Vehicle, flat: Annotated[np.ndarray, "14 times"]
+) -> tuple[
+    Annotated[np.ndarray, "times 4"], Annotated[np.ndarray, "times 9"], Annotated[np.ndarray, "times 3"]
+]:
     """Return the nominal rotor thrusts, attitude and body rate along flat outputs.
 
-    flat (14, n): flat outputs every DT_S, as in `Manoeuvre.flat`. Returns rotor thrusts (n, 4) in N,
-    R_ned_frd (n, 9), row-major, and body rate (n, 3) in rad/s, FRD.
+    flat: flat outputs every DT_S, as in `Manoeuvre.flat`. Returns rotor thrusts in N, R_ned_frd, row-major,
+    and body rate in rad/s, FRD.
     """
     snap = np.gradient(flat[9:12], DT_S, axis=1)
     body = Body(vehicle.mass_kg, vehicle.inertia_kg_m2)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
@@ -25,14 +25,14 @@ class Manoeuvre:
     """A plan along a route.
 
     route: its name. total_time_s: duration of the plan. slowed: whether that is longer than the duration that
-    the route states. flat (14, n): position, velocity, acceleration and jerk NED, yaw and yaw rate, every
+    the route states. flat: position, velocity, acceleration and jerk NED, yaw and yaw rate, every
     DT_S, as from `trimtab.host.models.reference.flat_outputs`.
     """
 
     route: str
     total_time_s: float
     slowed: bool
-    flat: np.ndarray
+    flat: Annotated[np.ndarray, "14 times"]
 
 
 def manoeuvre(name: str, route: Route, vehicle: Vehicle) -> Manoeuvre | None:

@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 
@@ -79,9 +79,9 @@ class NextFlight:
 
 def separation(
     space: ParameterSpace,
-    gram: np.ndarray,
+    gram: Annotated[np.ndarray, "parameters parameters"],
     present: Iterable[str],
-    theta_scaled: np.ndarray,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
     effect: str,
     alias: str,
     *,
@@ -98,11 +98,11 @@ def separation(
     space
         Parameter space.
     gram
-        S' S (P, P).
+        S' S.
     present
         Candidates that are present.
     theta_scaled
-        Scaled parameters (P,) that give the size of `effect`.
+        Scaled parameters that give the size of `effect`.
     effect, alias
         Candidates to separate.
     prior
@@ -181,7 +181,7 @@ def _measurement(space: ParameterSpace, effect: str, alias: str) -> str | None:
 
 
 def _flown_information(segment_model: SegmentModel, fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the information (P, P) of the fitted flights, linearised at theta_scaled (P,)."""
+    """Return the information (parameters, parameters) of the fitted flights, at theta_scaled."""
     lin = fit.lin
     if not np.array_equal(theta_scaled, fit.theta_scaled):
         grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)

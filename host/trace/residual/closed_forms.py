@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import Annotated, Any
 
 import numpy as np
 from scipy.optimize import least_squares
@@ -15,7 +15,7 @@ _ROW_STEP = 3
 """Step between the rows that are fitted, since neighbouring rows are strongly correlated."""
 
 Law = Callable[[np.ndarray, np.ndarray], np.ndarray]
-"""Specific force (n, 3) in m/s^2, NED, of the parameters of a form and of positions (n, 3) in m, NED."""
+"""Specific force (rows, 3), m/s^2, NED, of the parameters of a form and of positions (rows, 3), m, NED."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -77,22 +77,25 @@ def _jet(theta: np.ndarray, p: np.ndarray) -> np.ndarray:
 
 
 def fit_forms(
-    p: np.ndarray, force: np.ndarray, folds: np.ndarray, steady: np.ndarray
-) -> list[tuple[ClosedForm, np.ndarray]]:
-    """Fit every closed form; return each form with its held-out squared errors (n,), (m/s^2)^2.
+    p: Annotated[np.ndarray, "rows 3"],
+    force: Annotated[np.ndarray, "rows 3"],
+    folds: Annotated[np.ndarray, "rows"],
+    steady: Annotated[np.ndarray, "rows 3 regressors"],
+) -> list[tuple[ClosedForm, Annotated[np.ndarray, "rows"]]]:
+    """Fit every closed form; return each form with its held-out squared errors, (m/s^2)^2.
 
     The skill of the returned forms is NaN. Forms with the fewest parameters come first.
 
     Parameters
     ----------
     p
-        Positions (n, 3), m, NED.
+        Positions, m, NED.
     force
-        Specific force (n, 3) at these positions, m/s^2, NED.
+        Specific force at these positions, m/s^2, NED.
     folds
-        Fold (n,) in which each row is held out.
+        Fold in which each row is held out.
     steady
-        Columns (n, 3, k) of constant forces that are fitted to the residual of the form.
+        Columns of constant forces that are fitted to the residual of the form.
     """
     forms = []
     for name, law, starts, bounds, parameters in _laws(p, force):

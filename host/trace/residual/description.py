@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import numpy as np
 
@@ -51,15 +51,15 @@ _CELLS = 6
 class Slope:
     """A leading linear dependence of one axis of the disturbance on one quantity.
 
-    axis, quantity: their names. value, unit: change of the disturbance per unit of the quantity. curve (k,
-    2): mean quantity and mean disturbance on that axis in each of k groups of bins, ordered by the quantity.
+    axis, quantity: their names. value, unit: change of the disturbance per unit of the quantity. curve:
+    mean quantity and mean disturbance on that axis in each of some groups of bins, ordered by the quantity.
     """
 
     axis: str
     quantity: str
     value: float
     unit: str
-    curve: np.ndarray
+    curve: Annotated[np.ndarray, "groups 2"]
 
     def to_json(self) -> dict[str, Any]:
         """Return an entry of the JSON list `slopes`."""
@@ -129,8 +129,8 @@ class Description:
     force, torque
         Dependence of either channel. The torque is None if the measured body rate drives the attitude.
     cells, pushes
-        Mean position (k, 3) in m and mean specific force (k, 3) in m/s^2, NED, of the cells of a coarse grid
-        that hold enough data.
+        Mean position in m and mean specific force in m/s^2, NED, of the cells of a coarse grid that hold
+        enough data.
     form
         Closed form of the force; None unless one fits clearly.
     """
@@ -138,8 +138,8 @@ class Description:
     held_out: Literal["reference", "blocks"]
     force: Dependence
     torque: Dependence | None
-    cells: np.ndarray
-    pushes: np.ndarray
+    cells: Annotated[np.ndarray, "cells 3"]
+    pushes: Annotated[np.ndarray, "cells 3"]
     form: ClosedForm | None
 
     def to_json(self) -> dict[str, Any]:
@@ -175,14 +175,17 @@ class Description:
 
 
 def describe(
-    w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle
+    w: Annotated[np.ndarray, "segments bins 6"],
+    data: Segments,
+    references: Sequence[str | None],
+    vehicle: Vehicle,
 ) -> Description:
     """Return what a disturbance depends on.
 
     Parameters
     ----------
     w
-        Disturbance (segments, bins, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+        Disturbance, FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
         If the measured body rate drives the attitude, the last three components are gyro errors and the
         description has no torque.
     data
@@ -215,7 +218,7 @@ def _clear_form(
     """Return the simplest closed form that explains the force about as well as the best description.
 
     None if the force does not depend on position or no form has enough skill. forms: each form with its
-    held-out squared errors (n,).
+    held-out squared errors (rows,).
     """
     if force.group != "position":
         return None
@@ -233,8 +236,8 @@ def _dependence(
 ) -> Dependence:
     """Return the skill of every group for a channel, the group that explains it best, and its slopes.
 
-    forms: held-out squared errors (n,) of closed forms. They count as fits of position, since they show a
-    force that acts in a small place on the path of only one reference, which a smooth fit misses.
+    forms: held-out squared errors (rows,) of closed forms. They count as fits of position, since they show
+    a force that acts in a small place on the path of only one reference, which a smooth fit misses.
     """
     y = bins.w[:, :3] if channel == "force" else bins.w[:, 3:]
     world = channel == "force"
@@ -290,8 +293,8 @@ def _slopes(
 ) -> tuple[Slope, ...]:
     """Return the strongest linear dependences of the axes on the named quantities, fitted together.
 
-    y (n, 3): disturbance, FRD. basis (n, m): its first len(names) columns are the quantities, in `unit`.
-    natural: whether the world's axes are natural to the group.
+    y (rows, 3): disturbance, FRD. basis (rows, functions): its first len(names) columns are the quantities,
+    in `unit`. natural: whether the world's axes are natural to the group.
     """
     world = natural and channel == "force"
     target = bins.force_ned if world else y
@@ -320,7 +323,7 @@ def _curve(quantity: np.ndarray, value: np.ndarray) -> np.ndarray:
 
 
 def _grid(bins: Bins) -> tuple[np.ndarray, np.ndarray]:
-    """Return mean position (k, 3) and mean force (k, 3), NED, of the grid cells that hold enough bins."""
+    """Return mean position (cells, 3) and mean force (cells, 3), NED, of grid cells with enough bins."""
     span = np.ptp(bins.p, axis=0)
     size = max(float(span.max()) / _CELLS, 0.2)
     _, cell = np.unique(np.floor((bins.p - bins.p.min(0)) / size).astype(int), axis=0, return_inverse=True)

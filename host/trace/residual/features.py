@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -23,48 +24,53 @@ class Bins:
     Attributes
     ----------
     segment, flight, reference
-        Numbers (n,) of segment, flight and reference.
+        Numbers of segment, flight and reference.
     t_s
-        Time (n,) since tracking began.
+        Time since tracking began.
     w
-        Disturbance (n, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+        Disturbance, FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
     R
-        R_ned_frd (n, 3, 3).
+        R_ned_frd.
     p, v
-        Position (n, 3) in m and velocity (n, 3) in m/s, NED.
+        Position in m and velocity in m/s, NED.
     rate
-        Body rate (n, 3) in rad/s, FRD.
+        Body rate in rad/s, FRD.
     rotors
-        Commanded thrust of each rotor (n, 4) over the vehicle's mass, m/s^2.
+        Commanded thrust of each rotor over the vehicle's mass, m/s^2.
     """
 
-    segment: np.ndarray
-    flight: np.ndarray
-    reference: np.ndarray
-    t_s: np.ndarray
-    w: np.ndarray
-    R: np.ndarray
-    p: np.ndarray
-    v: np.ndarray
-    rate: np.ndarray
-    rotors: np.ndarray
+    segment: Annotated[np.ndarray, "rows"]
+    flight: Annotated[np.ndarray, "rows"]
+    reference: Annotated[np.ndarray, "rows"]
+    t_s: Annotated[np.ndarray, "rows"]
+    w: Annotated[np.ndarray, "rows 6"]
+    R: Annotated[np.ndarray, "rows 3 3"]
+    p: Annotated[np.ndarray, "rows 3"]
+    v: Annotated[np.ndarray, "rows 3"]
+    rate: Annotated[np.ndarray, "rows 3"]
+    rotors: Annotated[np.ndarray, "rows 4"]
 
     @property
-    def force_ned(self) -> np.ndarray:
-        """Disturbance force (n, 3) in m/s^2, NED."""
+    def force_ned(self) -> Annotated[np.ndarray, "rows 3"]:
+        """Disturbance force in m/s^2, NED."""
         return np.einsum("nij,nj->ni", self.R, self.w[:, :3])
 
     @property
-    def v_frd(self) -> np.ndarray:
-        """Velocity (n, 3) in m/s, FRD."""
+    def v_frd(self) -> Annotated[np.ndarray, "rows 3"]:
+        """Velocity in m/s, FRD."""
         return np.einsum("nij,ni->nj", self.R, self.v)
 
 
-def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], vehicle: Vehicle) -> Bins:
+def bins_of(
+    w: Annotated[np.ndarray, "segments bins 6"],
+    data: Segments,
+    references: Sequence[str | None],
+    vehicle: Vehicle,
+) -> Bins:
     """Return the rows of a disturbance.
 
-    w (segments, bins, 6): disturbance, FRD. data: its segments. references: id of the reference of each
-    flight, None where it is unknown.
+    w: disturbance, FRD. data: its segments. references: id of the reference of each flight, None where it is
+    unknown.
     """
     count, bins, _ = w.shape
     per_bin = data.steps // bins
@@ -96,7 +102,7 @@ def bins_of(w: np.ndarray, data: Segments, references: Sequence[str | None], veh
 
 
 def _filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values (S, H, k) with unknown steps interpolated; known (S, H) is the mask of known steps."""
+    """Return values (segments, steps, k) with unknown steps interpolated; known: mask (segments, steps)."""
     steps = np.arange(known.shape[1])
     out = np.empty(values.shape)
     for k, mask in enumerate(known):
@@ -108,9 +114,9 @@ def _filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
 def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, bool]]:
     """Return the groups of quantities by name: (basis, names, unit, natural).
 
-    basis (n, m): its first columns are the quantities themselves, the others nonlinear functions of them.
-    names: of these first columns. unit: of all of them. natural: whether a force that depends on the group is
-    described in world axes, not in body axes.
+    basis (rows, functions): its first columns are the quantities themselves, the others nonlinear functions
+    of them. names: of these first columns. unit: of all of them. natural: whether a force that depends on the
+    group is described in world axes, not in body axes.
     """
     up = bins.R[:, 2, :]
     collective = bins.rotors.sum(1)
@@ -155,13 +161,13 @@ def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str,
 
 
 def _squares(x: np.ndarray) -> np.ndarray:
-    """Return all products (n, m (m + 1) / 2) of two columns of x (n, m), squares included."""
+    """Return all products (rows, m (m + 1) / 2) of two columns of x (rows, m), squares included."""
     first, second = np.triu_indices(x.shape[1])
     return x[:, first] * x[:, second]
 
 
 def _bumps(p: np.ndarray) -> np.ndarray:
-    """Return Gaussians (n, k) of positions p (n, 3) around centres that are as far apart as possible.
+    """Return Gaussians (rows, centres) of positions p (rows, 3); the centres are as far apart as possible.
 
     The standard deviation is about the spacing of the centres, but at least 0.1 m.
     """
@@ -175,23 +181,25 @@ def _bumps(p: np.ndarray) -> np.ndarray:
     return np.exp(-0.5 * (from_centre / width) ** 2)
 
 
-def constant_columns(bins: Bins, world: bool) -> np.ndarray:
-    """Return columns (n, 3, k), FRD, of disturbances constant in body axes and, if `world`, in NED."""
+def constant_columns(bins: Bins, world: bool) -> Annotated[np.ndarray, "rows 3 regressors"]:
+    """Return columns, FRD, of disturbances constant in body axes and, if `world`, in NED."""
     ones = np.ones((len(bins.w), 1))
     body = columns_of(ones, None)
     return np.concatenate([body, columns_of(ones, bins.R)], axis=2) if world else body
 
 
-def columns_of(basis: np.ndarray, R: np.ndarray | None) -> np.ndarray:
-    """Return columns (n, 3, 3 m), FRD, of a basis (n, m) along each axis.
+def columns_of(
+    basis: Annotated[np.ndarray, "rows functions"], R: Annotated[np.ndarray, "rows 3 3"] | None
+) -> Annotated[np.ndarray, "rows 3 regressors"]:
+    """Return columns, FRD, of a basis along each axis.
 
-    The axes are those of the body, or of NED if R, R_ned_frd (n, 3, 3), is given.
+    The axes are those of the body, or of NED if R, R_ned_frd, is given.
     """
     axes = np.eye(3)[None] if R is None else np.swapaxes(R, 1, 2)
     product = basis[:, None, :, None] * axes[:, :, None, :]
     return product.reshape(len(basis), 3, -1)
 
 
-def standardised(basis: np.ndarray) -> np.ndarray:
-    """Return the columns of a basis (n, m) with zero mean and unit variance."""
+def standardised(basis: Annotated[np.ndarray, "rows functions"]) -> Annotated[np.ndarray, "rows functions"]:
+    """Return the columns of a basis with zero mean and unit variance."""
     return (basis - basis.mean(0)) / np.maximum(basis.std(0), 1e-9)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Literal
+from typing import Annotated, Literal
 
 import numpy as np
 
@@ -54,15 +54,15 @@ class Skill:
     counts: bool
 
 
-def folds_of(bins: Bins) -> tuple[np.ndarray, Literal["reference", "blocks"]]:
-    """Return the fold (n,) in which each row is held out, and what a fold is."""
+def folds_of(bins: Bins) -> tuple[Annotated[np.ndarray, "rows"], Literal["reference", "blocks"]]:
+    """Return the fold in which each row is held out, and what a fold is."""
     if len(np.unique(bins.reference)) > 1:
         return bins.reference, "reference"
     return time_blocks(bins), "blocks"
 
 
-def time_blocks(bins: Bins) -> np.ndarray:
-    """Return the time block (n,) of each row.
+def time_blocks(bins: Bins) -> Annotated[np.ndarray, "rows"]:
+    """Return the time block of each row.
 
     A block holds whole segments and covers the same time in all flights.
     """
@@ -71,25 +71,32 @@ def time_blocks(bins: Bins) -> np.ndarray:
     return np.searchsorted(edges, starts, side="right")[bins.segment]
 
 
-def segment_grams(columns: np.ndarray, y: np.ndarray, bins: Bins) -> np.ndarray:
-    """Return the Grams (segments, 1 + k, 1 + k) of [y | columns], with y (n, 3) and columns (n, 3, k)."""
+def segment_grams(
+    columns: Annotated[np.ndarray, "rows 3 regressors"], y: Annotated[np.ndarray, "rows 3"], bins: Bins
+) -> Annotated[np.ndarray, "segments columns columns"]:
+    """Return the Grams of [y | columns] of each segment."""
     whole = np.concatenate([y[:, :, None], columns], axis=2)
     count = int(bins.segment.max()) + 1
     whole = whole.reshape(count, -1, whole.shape[2])
     return np.swapaxes(whole, 1, 2) @ whole
 
 
-def held_out_squares(grams: np.ndarray, bins: Bins, folds: np.ndarray, free: int) -> np.ndarray:
-    """Return the squared error (segments,) of each segment, predicted by a fit without its fold.
+def held_out_squares(
+    grams: Annotated[np.ndarray, "segments columns columns"],
+    bins: Bins,
+    folds: Annotated[np.ndarray, "rows"],
+    free: int,
+) -> Annotated[np.ndarray, "segments"]:
+    """Return the squared error of each segment, predicted by a fit without its fold.
 
     Parameters
     ----------
     grams
-        Grams (segments, 1 + k, 1 + k) of [y | columns].
+        Grams of [y | columns].
     bins
         Bins of the segments.
     folds
-        Fold (n,) of each row.
+        Fold of each row.
     free
         Number of leading columns that are (almost) not penalised. The ridge penalty of the others is chosen
         by cross-validation within the training data.
@@ -118,7 +125,7 @@ def held_out_squares(grams: np.ndarray, bins: Bins, folds: np.ndarray, free: int
 
 
 def _ridge(gram: np.ndarray, ridge: float, free: int) -> np.ndarray:
-    """Return the coefficients (k,) of ridge regression.
+    """Return the coefficients (regressors,) of ridge regression.
 
     ridge: penalty as a share of the mean square of the columns. free: leading columns with a penalty of 1e-6.
     """
@@ -130,12 +137,12 @@ def _ridge(gram: np.ndarray, ridge: float, free: int) -> np.ndarray:
 
 
 def _error(gram: np.ndarray, slope: np.ndarray) -> float:
-    """Return the squared error of the coefficients `slope` (k,) on the data of a Gram."""
+    """Return the squared error of the coefficients `slope` (regressors,) on the data of a Gram."""
     return float(gram[0, 0] - 2.0 * gram[0, 1:] @ slope + slope @ gram[1:, 1:] @ slope)
 
 
-def pieces_of(bins: Bins) -> np.ndarray:
-    """Return the bootstrap piece (segments,) of each segment.
+def pieces_of(bins: Bins) -> Annotated[np.ndarray, "segments"]:
+    """Return the bootstrap piece of each segment.
 
     A piece covers the same RUN_S of a reference in all of its flights.
     """
@@ -146,7 +153,12 @@ def pieces_of(bins: Bins) -> np.ndarray:
 
 
 def skill_of_group(
-    channel: Channel, group: str, errors: np.ndarray, baseline: np.ndarray, bins: Bins, piece: np.ndarray
+    channel: Channel,
+    group: str,
+    errors: Annotated[np.ndarray, "segments"],
+    baseline: Annotated[np.ndarray, "segments"],
+    bins: Bins,
+    piece: Annotated[np.ndarray, "segments"],
 ) -> Skill:
     """Return the skill of a group, with a bootstrap interval.
 
@@ -155,11 +167,11 @@ def skill_of_group(
     channel, group
         Channel and group that the skill is of.
     errors, baseline
-        Held-out squared errors (segments,) with the group, and without it.
+        Held-out squared errors of segments with the group, and without it.
     bins
         Bins of the segments.
     piece
-        Bootstrap piece (segments,) of each segment.
+        Bootstrap piece of each segment.
     """
     sums = np.column_stack([np.bincount(piece, errors), np.bincount(piece, baseline)])
     rng = np.random.default_rng(0)

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.special import gammaincc, gammainccinv
@@ -105,7 +106,11 @@ class UnexplainedResidual:
 
 
 def unexplained_residual(
-    w: np.ndarray, data: Segments, repeat_flights: Sequence[tuple[int, int]], *, axial: bool = True
+    w: Annotated[np.ndarray, "segments bins 6"],
+    data: Segments,
+    repeat_flights: Sequence[tuple[int, int]],
+    *,
+    axial: bool = True,
 ) -> UnexplainedResidual:
     """Return the repeatability and the spectrum of a disturbance.
 
@@ -114,7 +119,7 @@ def unexplained_residual(
     Parameters
     ----------
     w
-        Disturbance (segments, bins, 6), FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
+        Disturbance, FRD: specific force in m/s^2, then angular acceleration in rad/s^2.
         If the measured body rate drives the attitude, the last three components are gyro errors; their
         spectrum is not searched.
     data

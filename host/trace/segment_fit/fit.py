@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 
@@ -40,9 +41,9 @@ class SegmentFit:
     log_evidence
         In nats.
     theta_scaled, covariance
-        Estimate (P,) and its covariance (P, P), scaled.
+        Estimate and its covariance, scaled.
     nuisances
-        Nuisances (flights, NUISANCES).
+        Nuisances of each flight.
     process
         Variances of the process disturbance of greatest evidence.
     lin
@@ -55,9 +56,9 @@ class SegmentFit:
 
     effects: Names
     log_evidence: float
-    theta_scaled: np.ndarray
-    nuisances: np.ndarray
-    covariance: np.ndarray
+    theta_scaled: Annotated[np.ndarray, "parameters"]
+    nuisances: Annotated[np.ndarray, "flights 9"]
+    covariance: Annotated[np.ndarray, "parameters parameters"]
     process: DisturbanceVariances
     lin: Linearisation
     data: Segments
@@ -209,8 +210,8 @@ def at_parameters(
     segment_model: SegmentModel,
     start: SegmentFit,
     effects: Names,
-    theta_scaled: np.ndarray,
-    covariance: np.ndarray,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    covariance: Annotated[np.ndarray, "parameters parameters"],
     log_evidence: float,
 ) -> SegmentFit:
     """Return a segment fit at parameters that were fitted to whole flights.
@@ -226,7 +227,7 @@ def at_parameters(
     effects
         The selected set.
     theta_scaled, covariance
-        Estimate (P,) and covariance (P, P), scaled, of the flight fit.
+        Estimate and covariance, scaled, of the flight fit.
     log_evidence
         Log evidence of the flight fit, in nats.
     """
@@ -257,8 +258,10 @@ def at_parameters(
     )
 
 
-def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the unexplained disturbance (segments, bins, 6), FRD, at theta_scaled (P,).
+def disturbance_left(
+    fit: SegmentFit, theta_scaled: Annotated[np.ndarray, "parameters"]
+) -> Annotated[np.ndarray, "segments bins 6"]:
+    """Return the unexplained disturbance, FRD, at theta_scaled.
 
     Specific force in m/s^2, then angular acceleration in rad/s^2, in the linearisation of `fit`.
     """
@@ -267,8 +270,8 @@ def disturbance_left(fit: SegmentFit, theta_scaled: np.ndarray) -> np.ndarray:
     )
 
 
-def theta_without_effects(space: ParameterSpace, null_fit: SegmentFit) -> np.ndarray:
-    """Return theta_scaled (P,) of the model without effects: 0, except for freed adjustments.
+def theta_without_effects(space: ParameterSpace, null_fit: SegmentFit) -> Annotated[np.ndarray, "parameters"]:
+    """Return theta_scaled of the model without effects: 0, except for freed adjustments.
 
     null_fit: segment fit without effects, which gives the values of the freed adjustments.
     """

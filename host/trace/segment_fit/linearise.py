@@ -9,6 +9,7 @@ program of `trimtab.host.trace.segment_fit.model`.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -38,21 +39,21 @@ look like information."""
 class Basis:
     """Columns of the Jacobian that hardly depend on the parameters and are reused between refits.
 
-    columns (S, 12 + 9 + 6 bins, n), in units of sigma: initial state, nuisances, disturbance; n = 12 H. gram:
-    their Gram.
+    columns, in units of sigma: 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin.
+    gram: their Gram.
     """
 
-    columns: np.ndarray
-    gram: np.ndarray
+    columns: Annotated[np.ndarray, "segments unknowns residuals"]
+    gram: Annotated[np.ndarray, "segments unknowns unknowns"]
 
     @property
-    def x(self) -> np.ndarray:
-        """Columns (S, 12, n) of the initial state."""
+    def x(self) -> Annotated[np.ndarray, "segments 12 residuals"]:
+        """Columns of the initial state."""
         return self.columns[:, :STATES]
 
     @property
-    def bins(self) -> np.ndarray:
-        """Columns (S, 6 bins, n) of the disturbance."""
+    def bins(self) -> Annotated[np.ndarray, "segments disturbances residuals"]:
+        """Columns of the disturbance."""
         return self.columns[:, STATES + NUISANCES :]
 
 
@@ -60,13 +61,13 @@ class Basis:
 class Grams:
     """Grams of every segment before initial states are projected out.
 
-    gram (S, m, m): of [r | S | X | L | Z], with P columns S of parameters, 12 columns X of the initial state,
-    9 columns L of nuisances and 6 bins columns Z of the disturbance. x0 (S, 12): initial states of the
-    linearisation. parameters: P.
+    gram: of [r | S | X | L | Z], with columns S of parameters, 12 columns X of the initial state, 9 columns L
+    of nuisances and, for each bin, 6 columns Z of the disturbance. x0: initial states of the linearisation.
+    parameters: number of columns S.
     """
 
-    gram: np.ndarray
-    x0: np.ndarray
+    gram: Annotated[np.ndarray, "segments all_columns all_columns"]
+    x0: Annotated[np.ndarray, "segments 12"]
     parameters: int
 
 
@@ -76,10 +77,10 @@ class _Lanes:
     def __init__(
         self,
         data: Segments,
-        x0: np.ndarray,
-        theta_scaled: np.ndarray,
-        nuisances: np.ndarray,
-        memory: np.ndarray,
+        x0: Annotated[np.ndarray, "segments 12"],
+        theta_scaled: Annotated[np.ndarray, "parameters"],
+        nuisances: Annotated[np.ndarray, "flights 9"],
+        memory: Annotated[np.ndarray, "memory _ segments"],
         count: int,
     ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
@@ -89,8 +90,10 @@ class _Lanes:
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
-    def jacobian(self, segment_model: SegmentModel, data: Segments, *, bins: bool) -> np.ndarray:
-        """Return (S, lanes, n): the residual in lane 0, its negative slopes by the perturbation in others.
+    def jacobian(
+        self, segment_model: SegmentModel, data: Segments, *, bins: bool
+    ) -> Annotated[np.ndarray, "segments lanes residuals"]:
+        """Return the residual in lane 0, its negative slopes by the perturbation in others.
 
         bins: whether lanes perturb the disturbance.
         """
@@ -111,9 +114,12 @@ def _chunks(data: Segments, lanes: int) -> list[slice]:
 
 
 def basis(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray
+    segment_model: SegmentModel,
+    data: Segments,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    nuisances: Annotated[np.ndarray, "flights 9"],
 ) -> Basis:
-    """Return the basis at scaled parameters theta_scaled (P,) and nuisances (flights, 9)."""
+    """Return the basis at scaled parameters and nuisances."""
     count = 1 + STATES + NUISANCES + 6 * data.bins
     memory = remembered(segment_model, data, theta_scaled[:, None])
     parts = []
@@ -137,8 +143,10 @@ def basis(
     return Basis(columns=whole, gram=whole @ np.swapaxes(whole, 1, 2))
 
 
-def disturbance_from_measured_rotation(segment_model: SegmentModel, data: Segments) -> np.ndarray:
-    """Return the disturbance (S, bins, 6), FRD, that explains the measured rotation with the nominal model.
+def disturbance_from_measured_rotation(
+    segment_model: SegmentModel, data: Segments
+) -> Annotated[np.ndarray, "segments bins 6"]:
+    """Return the disturbance, FRD, that explains the measured rotation with the nominal model.
 
     Its angular acceleration, in rad/s^2, is the measured one minus the modelled one. If the gyro was not
     logged, the body rate comes from the attitudes of the poses. Its force is 0, since forces do not rotate
@@ -186,13 +194,13 @@ def _rate_from_poses(data: Segments, i: int) -> np.ndarray:
 def fitted_x0(
     segment_model: SegmentModel,
     data: Segments,
-    theta_scaled: np.ndarray,
-    nuisances: np.ndarray,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    nuisances: Annotated[np.ndarray, "flights 9"],
     basis: Basis,
     iterations: int = 1,
-    memory: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the initial states (S, 12) that fit the measurements of each segment best.
+    memory: Annotated[np.ndarray, "memory 1 segments"] | None = None,
+) -> Annotated[np.ndarray, "segments 12"]:
+    """Return the initial states that fit the measurements of each segment best.
 
     Parameters
     ----------
@@ -201,15 +209,15 @@ def fitted_x0(
     data
         Segments; the iteration starts at their x0.
     theta_scaled
-        Scaled parameters (P,).
+        Scaled parameters.
     nuisances
-        Nuisances (flights, 9).
+        Nuisances of each flight.
     basis
         Columns of the Jacobian.
     iterations
         Number of Gauss-Newton steps.
     memory
-        States (M, 1, S) of the effects at the start of each segment; computed by `remembered` if None.
+        States of the effects at the start of each segment; computed by `remembered` if None.
     """
     x0 = data.x0
     if memory is None:
@@ -226,9 +234,13 @@ def fitted_x0(
 
 
 def linearise(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray, basis: Basis
+    segment_model: SegmentModel,
+    data: Segments,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    nuisances: Annotated[np.ndarray, "flights 9"],
+    basis: Basis,
 ) -> Grams:
-    """Return the Grams of all segments at scaled parameters theta_scaled (P,) and nuisances (flights, 9).
+    """Return the Grams of all segments at scaled parameters and nuisances.
 
     The initial states first take one Gauss-Newton step towards the measurements of their segment. basis:
     columns of the Jacobian that are not computed again.
@@ -259,10 +271,15 @@ def linearise(
     return Grams(gram=gram, x0=x0, parameters=len(theta_scaled))
 
 
-def project(grams: Grams, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray) -> Linearisation:
+def project(
+    grams: Grams,
+    data: Segments,
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    nuisances: Annotated[np.ndarray, "flights 9"],
+) -> Linearisation:
     """Return the linearisation with the initial state of every segment projected out, since it is free.
 
-    theta_scaled (P,), nuisances (flights, 9): point of the linearisation.
+    theta_scaled, nuisances: point of the linearisation.
     """
     gram = grams.gram
     first = 1 + grams.parameters

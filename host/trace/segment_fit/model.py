@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from functools import cached_property
-from typing import Any
+from typing import Annotated, Any
 
 import casadi
 import numpy as np
@@ -90,8 +90,10 @@ class SegmentModel:
         """Return the number of states that the effect `owner` adds; 0 if the owner is not an effect."""
         return self.space.effects[owner].memory if owner in self.space.effects else 0
 
-    def delay_s(self, theta_scaled: np.ndarray) -> np.ndarray:
-        """Return the command delay (C,) in s at scaled parameters theta_scaled (P, C)."""
+    def delay_s(
+        self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
+    ) -> Annotated[np.ndarray, "lanes"]:
+        """Return the command delay in s at the scaled parameters of each lane."""
         return np.broadcast_to(
             np.asarray(slots.command_delay_s(CASADI, self._parts(theta_scaled))), theta_scaled.shape[1:]
         )

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Annotated
+
 import numpy as np
 
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
@@ -11,13 +13,13 @@ from trimtab.host.trace.segment_fit.model import CHANNELS, NUISANCES, STATES, Se
 def roll_out(
     segment_model: SegmentModel,
     data: Segments,
-    x0: np.ndarray,
-    theta_scaled: np.ndarray,
-    nuisances: np.ndarray,
-    bins: np.ndarray | None = None,
-    memory: np.ndarray | None = None,
-) -> np.ndarray:
-    """Return the predicted measurements (H, 12, C, S) of C lanes of each of S segments.
+    x0: Annotated[np.ndarray, "12 lanes segments"],
+    theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+    nuisances: Annotated[np.ndarray, "9 lanes segments"],
+    bins: Annotated[np.ndarray, "bins 6 lanes"] | None = None,
+    memory: Annotated[np.ndarray, "memory lanes segments"] | None = None,
+) -> Annotated[np.ndarray, "steps 12 lanes segments"]:
+    """Return the predicted measurements of the lanes of each segment.
 
     The 12 predictions of a step are those of `trimtab.host.trace.segment_fit.model.CHANNELS`. Rotors start at
     the lagged command of the run-up.
@@ -29,16 +31,16 @@ def roll_out(
     data
         Segments.
     x0
-        Initial states (12, C, S): p, v NED, Euler angles Theta, body rate FRD.
+        Initial states: p, v NED, Euler angles Theta, body rate FRD.
     theta_scaled
-        Scaled parameters (P, C).
+        Scaled parameters of each lane.
     nuisances
-        Nuisances (9, C, S) of the flights.
+        Nuisances of the flights.
     bins
-        Disturbance (bins, 6, C) in addition to that of the segments: specific force m/s^2, then angular
-        acceleration rad/s^2, FRD.
+        Disturbance in addition to that of the segments: specific force m/s^2, then angular acceleration
+        rad/s^2, FRD.
     memory
-        Initial states (M, C, S) of the effects; `remembered` along the measured flight if None.
+        Initial states of the effects; `remembered` along the measured flight if None.
     """
     lanes, count = x0.shape[1:]
     total = lanes * count
@@ -46,7 +48,7 @@ def roll_out(
     inputs, outputs = step.inputs, step.outputs
 
     def load(name: str, value: np.ndarray) -> None:
-        """Load an input of every segment (S,) or (S, n), the same in all lanes."""
+        """Load an input of every segment, (segments,) or (segments, n), the same in all lanes."""
         rows = value.T[:, None] if value.ndim == 2 else value
         inputs[name].reshape(-1, lanes, count)[:] = rows
 
@@ -82,10 +84,10 @@ def roll_out(
 
 
 def _delayed(segment_model: SegmentModel, command: np.ndarray, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the sent commands (S, pre + H, 4) delayed as at theta_scaled (P, C): (pre + H, 4, C S).
+    """Return the sent commands (segments, pre + steps, 4), delayed as at theta_scaled (parameters, lanes).
 
-    Commands are means over steps, so a delay by a fraction of a step mixes two of them. Before the first
-    command, the first command holds.
+    The result is (pre + steps, 4, lanes * segments). Commands are means over steps, so a delay by a
+    fraction of a step mixes two of them. Before the first command, the first command holds.
     """
     delayed = []
     for delay in segment_model.delay_s(theta_scaled):
@@ -114,8 +116,10 @@ def _spun_up(segment_model: SegmentModel, commands: np.ndarray, theta_scaled: np
     return rotors.outputs["next"].copy()
 
 
-def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray) -> np.ndarray:
-    """Return the states (M, C, S) of the effects at the start of each segment for theta_scaled (P, C).
+def remembered(
+    segment_model: SegmentModel, data: Segments, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
+) -> Annotated[np.ndarray, "memory lanes segments"]:
+    """Return the states of the effects at the start of each segment for theta_scaled.
 
     They are integrated along the measured paths of the flights.
     """
@@ -157,10 +161,12 @@ def remembered(segment_model: SegmentModel, data: Segments, theta_scaled: np.nda
     return np.moveaxis((1.0 - share) * ends[0] + share * ends[1], 2, 0)
 
 
-def residuals(data: Segments, predicted: np.ndarray) -> np.ndarray:
-    """Return measured minus predicted, in units of sigma, as (C, S, 12 H).
+def residuals(
+    data: Segments, predicted: Annotated[np.ndarray, "steps 12 lanes segments"]
+) -> Annotated[np.ndarray, "lanes segments residuals"]:
+    """Return measured minus predicted, in units of sigma; the 12 channels of each step follow each other.
 
-    predicted (H, 12, C, S): result of `roll_out`.
+    predicted: result of `roll_out`.
     """
     steps, _, lanes, segments = predicted.shape
     measured = np.concatenate([data.p_ned, np.zeros_like(data.p_ned), data.rate_frd, data.force_frd], axis=2)
