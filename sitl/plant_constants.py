@@ -152,11 +152,6 @@ def _hover_inflow(vehicle: Vehicle) -> float:
     return math.sqrt(0.25 * vehicle.mass_kg * GRAVITY_M_S2 / (2.0 * _AIR_DENSITY_KG_M3 * area))
 
 
-def _swing(length_m: float) -> float:
-    """Return the natural frequency of a pendulum, rad/s."""
-    return math.sqrt(GRAVITY_M_S2 / length_m)
-
-
 def _canted(value: Callable[[str, str], float], i: int) -> list[float]:
     """Return the direction of rotor i's thrust in FRD."""
     cant, towards = value("motor-cant", f"cant_{i}"), value("motor-cant", f"towards_{i}")

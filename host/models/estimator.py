@@ -75,11 +75,12 @@ def error_rates(  # noqa: PLR0913 (an equation of many variables)
     e_a = (predicted[0] - a[0], predicted[1] - a[1], predicted[2] + GRAVITY - a[2])
 
     lead = back - late
-    bend = 0.5 * (late * late - back * back)
+    half_square = 0.5 * (late * late - back * back)
     half_back = 0.5 * back * back
     jump = 1.0 / (1.0 - 0.5 * interval_s * gains.position)
     innovation = [
-        jump * (lead * v[i] + bend * a[i] - e_p[i] + back * e_v[i] - half_back * e_a[i]) for i in range(3)
+        jump * (lead * v[i] + half_square * a[i] - e_p[i] + back * e_v[i] - half_back * e_a[i])
+        for i in range(3)
     ]
     # Predicting the late attitude forward by exp(rate back) misses rate_dot late^2/2.
     jump = 1.0 / (1.0 - 0.5 * interval_s * gains.attitude)

@@ -22,7 +22,7 @@ typedef struct {
     const int *gap_row;        /* of each stage but the last */
     const int *equal_row, *bounded_row, *bounded_w; /* stage by stage; a row or, where that is -1, an unknown */
     const double *equal_to;
-    Entries dynamics, equal, bounded, bend;
+    Entries dynamics, equal, bounded, hessian_entries;
 } Chain;
 
 enum { OBJECTIVE, GRADIENT, ROWS, JACOBIAN, HESSIAN };
@@ -171,7 +171,7 @@ static int lagrangian_bend(double scale, const double *primal, const double *lam
         for (int i = 0; i < c->nx[k]; ++i) BLASFEO_DMATEL(res + k, high, c->nu[k] + i) = c->gradient[at + i];
         for (int i = 0; i < c->nu[k]; ++i) BLASFEO_DMATEL(res + k, high, i) = c->gradient[at + c->nx[k] + i];
     }
-    put(c->bend, 1.0, c->hessian, res);
+    put(c->hessian_entries, 1.0, c->hessian, res);
     return 1;
 }
 

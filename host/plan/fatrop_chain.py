@@ -36,7 +36,7 @@ class _Chain(ctypes.Structure):
         ("fill", _FILL),
         *((name, ctypes.c_void_p) for name in ("gap_row", "equal_row", "bounded_row", "bounded_w")),
         ("equal_to", ctypes.c_void_p),
-        *((name, _Entries) for name in ("dynamics", "equal", "bounded", "bend")),
+        *((name, _Entries) for name in ("dynamics", "equal", "bounded", "hessian_entries")),
     )
 
 
@@ -168,7 +168,7 @@ class Chain:
             "dynamics": self._entries(*entries(a.is_gap[r] & (a.stage_of[c] == stage))),
             "equal": self._entries(*entries(is_equal[r])),
             "bounded": self._entries(*map(np.concatenate, zip(of_rows, of_unknowns, strict=True))),
-            "bend": self._entries(a.stage_of[i], place[i], place[j], source),
+            "hessian_entries": self._entries(a.stage_of[i], place[i], place[j], source),
         }
 
     def _ints(self, numbers: Index) -> int:

@@ -77,7 +77,7 @@ class Intervals(Protocol):
         """Compute cost_slope alone."""
         ...
 
-    def bend(
+    def compute_hessian(
         self,
         sigma: float,
         lam_x: Annotated[np.ndarray, "intervals states"],
@@ -189,7 +189,7 @@ class _Lanes:
         outputs = (self.x_slope.flat, self.cost_slope.flat, self.path_slope.flat)
         self._call(self._kernel.slopes, ctypes.c_long(dynamics), self._z, *outputs)
 
-    def bend(
+    def compute_hessian(
         self,
         sigma: float,
         lam_x: Annotated[np.ndarray, "intervals states"],
@@ -263,7 +263,7 @@ class _Machine:
     def gradient(self) -> None:
         self._functions["gradient"]()
 
-    def bend(
+    def compute_hessian(
         self,
         sigma: float,
         lam_x: Annotated[np.ndarray, "intervals states"],

@@ -36,14 +36,16 @@ class Places:
         self.rows = value.numel()
         lam = ca.SX.sym("lam", self.rows)
         slope = ca.densify(ca.jacobian(value, p)).T  # row by row
-        bend = ca.densify(ca.hessian(ca.dot(lam, value), p)[0])
+        hessian = ca.densify(ca.hessian(ca.dot(lam, value), p)[0])
         self._first = Buffered(
             ca.Function("first", [p, gate], [value, ca.vec(slope)], ["p", "gate"], ["value", "slope"]).map(
                 count
             )
         )
         self._second = Buffered(
-            ca.Function("second", [p, gate, lam], [ca.vec(bend)], ["p", "gate", "lam"], ["bend"]).map(count)
+            ca.Function("second", [p, gate, lam], [ca.vec(hessian)], ["p", "gate", "lam"], ["hessian"]).map(
+                count
+            )
         )
         if gates is not None:
             for function in (self._first, self._second):
@@ -71,4 +73,4 @@ class Places:
         self._second.inputs["p"][:] = p
         self._second.inputs["lam"][:] = lam
         self._second()
-        return self._second.outputs["bend"].reshape(len(p), 3, 3)
+        return self._second.outputs["hessian"].reshape(len(p), 3, 3)

@@ -98,7 +98,7 @@ def _functions(assembly: Assembly) -> tuple[dict[str, ca.Function], list[_Callba
     def slopes(point: Array, _: Array) -> list[Array | float]:
         return [assembly.rows(point), assembly.jacobian(point)]
 
-    def bend(point: Array, _: Array, sigma: Array, lam: Array) -> list[Array | float]:
+    def hessian(point: Array, _: Array, sigma: Array, lam: Array) -> list[Array | float]:
         return [assembly.hessian(point, float(sigma[0]), lam)]
 
     callbacks = [
@@ -111,7 +111,9 @@ def _functions(assembly: Assembly) -> tuple[dict[str, ca.Function], list[_Callba
             lambda point, _: [assembly.objective(point), assembly.gradient(point)],
         ),
         _Callback("nlp_jac_g", at, [("g", rows), ("jac:g:x", assembly.slopes.sparsity())], slopes),
-        _Callback("nlp_hess_l", [*at, *weighed], [("triu:hess:gamma:x:x", assembly.upper.sparsity())], bend),
+        _Callback(
+            "nlp_hess_l", [*at, *weighed], [("triu:hess:gamma:x:x", assembly.upper.sparsity())], hessian
+        ),
     ]
     return {callback.name(): callback for callback in callbacks}, callbacks
 

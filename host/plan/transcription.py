@@ -286,13 +286,13 @@ class Assembly:
         """Return the nonzeros of the upper triangle of the Hessian of sigma f + lam' g."""
         self._set(w)
         path = np.where(self._path_at >= 0, lam[self._path_at], 0.0)
-        self._intervals.bend(sigma, -lam[self._gap_at], path[:, : self._vehicle_rows])
+        self._intervals.compute_hessian(sigma, -lam[self._gap_at], path[:, : self._vehicle_rows])
         out = np.zeros(self.upper.count)
         out[self._hessian_to] = self._intervals.hessian.flat[self._hessian_from]
         if self._places is not None:
-            bend = self._places.second(w[self._x_at[:-1, :3]], path[:, self._vehicle_rows :])
+            gate_hessian = self._places.second(w[self._x_at[:-1, :3]], path[:, self._vehicle_rows :])
             i, j = np.triu_indices(3)
-            out[self._hessian_places_to[0]] += bend[:, i, j].ravel()
+            out[self._hessian_places_to[0]] += gate_hessian[:, i, j].ravel()
         return out
 
     def lagrangian_gradient(

@@ -230,7 +230,7 @@ def _evaluated(
     gradient = intervals.cost_slope.dense(STATES + INPUTS + 1)
     intervals.gradient()
     np.testing.assert_array_equal(intervals.cost_slope.dense(STATES + INPUTS + 1), gradient)
-    intervals.bend(1.3, *weights)
+    intervals.compute_hessian(1.3, *weights)
     nz = STATES + INPUTS + 1
     return [
         intervals.x_next.dense(STATES),
