@@ -1,0 +1,1 @@
+"""Host-side controllers: they command body rate and collective thrust over the link."""
