@@ -1,8 +1,8 @@
 """Interface between a host-side controller and the session that streams its commands.
 
 Times are integer microseconds since the start of the reference, negative before it. A command takes effect
-after a declared computing time and the delay of the uplink, so a controller predicts the state forward, through
-the commands already sent, to the time at which its own command will act.
+after a declared computing time and the delay of the uplink. A controller predicts the state forward,
+through the commands already sent, to the time at which its own command acts.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ class Controller(Protocol):
     def step(self, estimate: StateEstimate, sent: Sequence[RateCommand], act_us: int) -> ControlStep:
         """Return the command that takes effect at `act_us`.
 
-        sent: commands that act at or after `estimate.t_us`, oldest first, each with the time of its effect; the
-        first one may act before it.
+        sent: commands already sent, oldest first, each with the time of its effect. The first acts
+        at or before `estimate.t_us`.
         """
         ...
