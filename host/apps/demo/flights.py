@@ -12,6 +12,7 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from types import MappingProxyType
 from typing import Any
 
 from trimtab.host.base import artefacts
@@ -59,15 +60,26 @@ class Airfield:
         log: Path,
         *,
         feedforward: FeedForward | None = None,
+        parameters: Mapping[str, float] = MappingProxyType({}),
         model_id: str | None = None,
     ) -> FlightResult:
-        """Fly with a new vehicle after uploading the blobs in lock-step, and return the result."""
+        """Fly with a new vehicle after uploading the blobs in lock-step, and return the result.
+
+        parameters: values to set on board before the flight, instead of the vehicle file's.
+        """
         with closing(self.power_up(reference, flight)) as simulated:
             return self.fly_with(
-                simulated, reference, flight, log, feedforward=feedforward, model_id=model_id, upload=True
+                simulated,
+                reference,
+                flight,
+                log,
+                feedforward=feedforward,
+                parameters=parameters,
+                model_id=model_id,
+                upload=True,
             )
 
-    def fly_with(
+    def fly_with(  # noqa: PLR0913 (one keyword for each choice)
         self,
         simulated: Any,
         reference: Reference,
@@ -75,6 +87,7 @@ class Airfield:
         log: Path,
         *,
         feedforward: FeedForward | None = None,
+        parameters: Mapping[str, float] = MappingProxyType({}),
         model_id: str | None = None,
         upload: bool = False,
     ) -> FlightResult:
@@ -89,6 +102,7 @@ class Airfield:
             log_path=log,
             port="simulated vehicle",
             upload=upload,
+            parameters=parameters,
             model_id=model_id,
             session={**self.session, "flight": str(flight)},
         )
