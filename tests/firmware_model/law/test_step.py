@@ -281,7 +281,7 @@ def test_closed_loop_with_drag_follows_better_with_its_observer():
 
 
 def test_closed_loop_observer_sees_only_what_the_feedforward_leaves():
-    """Neural DO of paper section VI-D: of a drag of 0.4 1/s, 0.3 is fed forward; the observer gets the rest."""
+    """Neural DO of paper section VI-D: of a drag of 0.4 1/s, 0.3 is fed forward; the observer gets 0.1."""
     block = list(NEUTRAL)
     block[4:7] = [0.3, 0.3, 0.3]
     both = _Flight(drag=0.4, feedforward=block, observer=5.0)
