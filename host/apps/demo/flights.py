@@ -79,7 +79,7 @@ class Airfield:
                 upload=True,
             )
 
-    def fly_with(  # noqa: PLR0913 (one keyword for each choice)
+    def fly_with(
         self,
         simulated: Any,
         reference: Reference,
