@@ -120,5 +120,6 @@ def _write(folder: Path, outcome: Mapping[str, Any], provenance: Mapping[str, An
         artefacts.write_atomic(folder / f"{stem}.png", picture.png, force=True)
     artefacts.write_atomic(folder / REPORT_NAME, reporter.page(outcome, pictures, provenance), force=True)
     answer = {**outcome["answer"], "report": str(folder / REPORT_NAME)}
-    artefacts.write_atomic(folder / JSON_NAME, json_text({**answer, "scores": outcome["scores"]}), force=True)
+    record = {**answer, "provenance": provenance, "scores": outcome["scores"]}
+    artefacts.write_atomic(folder / JSON_NAME, json_text(record), force=True)
     return answer

@@ -11,7 +11,7 @@ import numpy as np
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.paper.flight.controllers import Controller
-from trimtab.host.base.errors import FlightFailed, Refused, SolverError
+from trimtab.host.base.errors import FlightFailed, Refused, SolverError, UsageError
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.tracking import reference_at, tracking_distances
 from trimtab.host.plan import Plan, ResidualModel, Settings, Weights, plan
@@ -26,7 +26,7 @@ NODES = 280
 LAMBDA_R = 0.1
 """Weight of control effort, per N^2 of rotor thrust (VI-D.1)."""
 _RATE_SHARE = Weights().thrust_rate / Weights().control
-"""The paper's cost has no thrust rates. They weigh as much beside control effort as in the planner's defaults."""
+"""Weight of thrust rates beside control effort, as in the planner's defaults. The paper's cost has none."""
 KEPT_EVERY_US = 100_000
 """Every flight keeps the position errors of the poses nearest after each tenth of a second."""
 _FLAT_STEP_US = 10_000
@@ -35,7 +35,7 @@ _FLAT_STEP_US = 10_000
 def plans(vehicle: Vehicle, model: ResidualModel) -> dict[str, Plan]:
     """Return the pretzel's plan of each kind: same waypoints, time and limits.
 
-    Raises Refused or SolverError if there is none.
+    Raises Refused or SolverError if there is none, UsageError if the model has no residual to minimise.
     """
     route = load_route(ROUTE, vehicle=vehicle)
     control = LAMBDA_R * (vehicle.mass_kg * GRAVITY / 4.0) ** 2
@@ -63,7 +63,7 @@ def fly_pretzel(
     """
     try:
         planned = plans(field.vehicle, model)
-    except (Refused, SolverError) as error:
+    except (Refused, SolverError, UsageError) as error:
         return {"plans": {}, "flights": [], "failed": str(error)}
     rows = []
     for kind, each in planned.items():

@@ -152,6 +152,7 @@ def _flights(figures: Mapping[str, Any]) -> list[Cells]:
     """Return how many flights the figures rest on, what was learned, and what failed."""
     flights = ", ".join(f"{count} {SETS[name]}" for name, count in figures["flights"].items())
     rows = [
+        {"": "worlds", "value": str(len(figures["selected"]))},
         {"": "flights of the references", "value": flights},
         {"": "learned part selected, by world", "value": "; ".join(figures["selected"])},
         {"": "worlds whose feed-forward has a network", "value": str(figures["networks_flown"])},
