@@ -15,12 +15,14 @@ from typing import Any
 
 import pytest
 
+from tests.host.apps.paper.flight.made_up import made_up_world
 from trimtab.host import cli
 from trimtab.host.apps.bench import flown as bench_flown
 from trimtab.host.apps.bench import learning as bench
 from trimtab.host.apps.bench import planning
 from trimtab.host.apps.bench.session import realtime_factor
 from trimtab.host.apps.demo.compare import Comparison
+from trimtab.host.apps.paper.flight.summary import summary as flight_summary
 from trimtab.host.apps.paper.learning import noise
 from trimtab.host.apps.paper.learning.summary import summary as paper_summary
 from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
@@ -320,6 +322,13 @@ def test_study_paper_planning_prints_what_the_page_says() -> None:
     told = {"study": "paper-planning", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
     outcome = planning_summary(told, {name: {"result": piece} for name, piece in pieces.items()})
     check("study paper-planning", {**outcome["answer"], "report": "f/report.html"})
+
+
+def test_study_paper_flight_prints_what_the_page_says() -> None:
+    lost = {**made_up_world(), "failed": [{"flight": "ood-0, baseline", "why": "tilted"}]}
+    told = {"study": "paper-flight", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
+    outcome = flight_summary(told, {"world-00": {"result": lost}})
+    check("study paper-flight", {**outcome["answer"], "report": "f/report.html"})
 
 
 @pytest.mark.full  # a whole bench

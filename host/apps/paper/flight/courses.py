@@ -26,16 +26,17 @@ OOD_PACES = (1.15, 0.95, 0.7)
 PATHS = 4
 
 
-def draw_courses(
-    vehicle: Vehicle, seed: int, *, paths: int = PATHS, ood: int = len(OOD_PACES)
-) -> list[Course]:
-    """Return `paths` paths at every pace, and the first `ood` paths out of distribution."""
+def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
+    """Return the paths in distribution at every pace, and those out of it.
+
+    Raises ValueError if no drawn path may be flown by the vehicle.
+    """
     rng = np.random.default_rng(seed)
     paces = dict(zip("abcd", PACES, strict=True))
     courses: list[Course] = []
-    for k in range(paths):
+    for k in range(PATHS):
         courses += draw_path(rng, vehicle, ROOM, f"path-{k}", paces, out_of_distribution=False)
-    for k, pace in enumerate(OOD_PACES[:ood]):
+    for k, pace in enumerate(OOD_PACES):
         courses += draw_path(rng, vehicle, OOD_ROOM, f"ood-{k}", {"": pace}, out_of_distribution=True)
     return courses
 

@@ -18,7 +18,6 @@ Row = dict[str, Any]
 World = Mapping[str, Any]
 
 HORIZONS = ("flights", "segments")
-QUANTITIES = ("position_rmse_m", "velocity_rmse_m_s")
 _SAMPLES = 10_000
 
 
@@ -103,37 +102,35 @@ def worse_than_paper(figures: Mapping[str, Any]) -> list[Row]:
 
 def _prediction_pairs(prediction: Mapping[str, Any]) -> list[tuple[str, float, float | None]]:
     pairs: list[tuple[str, float, float | None]] = []
-    for name in SETS:
+    for name, label in tables.SETS.items():
         found = prediction[name]["flights"]
-        for quantity in QUANTITIES:
+        for quantity, unit in tables.QUANTITIES.items():
             nominal, hybrid = published.ERRORS[name][quantity]
-            pairs.append(
-                (f"{name}: {quantity}, {NOMINAL}", nominal, found["errors"][NOMINAL][quantity]["mean"])
-            )
-            for method in (PAPER, OURS):
-                pairs.append(
-                    (f"{name}: {quantity}, {method}", hybrid, found["errors"][method][quantity]["mean"])
-                )
+            what = f"prediction, {label}, {unit}"
+            pairs.append((f"{what}, nominal", nominal, found["errors"][NOMINAL][quantity]["mean"]))
+            for method, title in tables.METHODS.items():
+                pairs.append((f"{what}, {title}", hybrid, found["errors"][method][quantity]["mean"]))
                 ratio = found["ratios"][method][quantity]["median"]
-                pairs.append((f"{name}: {quantity}, {method} over {NOMINAL}", hybrid / nominal, ratio))
+                pairs.append((f"{what}, {title} over nominal", hybrid / nominal, ratio))
     return pairs
 
 
 def _pretzel_pairs(pretzel: Mapping[str, Any]) -> list[tuple[str, float, float | None]]:
     pairs: list[tuple[str, float, float | None]] = []
-    for key, values in published.PLANS.items():
+    over = f"{MIN_RESIDUAL} over {MIN_SNAP}"
+    for key, title in tables.PLANS.items():
+        values, what = published.PLANS[key], f"pretzel, {title}"
         ours = {kind: pretzel["plans"][kind][key] for kind in KINDS}
-        pairs += [(f"pretzel: {key}, {kind}", values[kind], ours[kind]) for kind in KINDS]
+        pairs += [(f"{what}, {kind}", values[kind], ours[kind]) for kind in KINDS]
         ratio = values[MIN_RESIDUAL] / values[MIN_SNAP]
-        what = f"pretzel: {key}, {MIN_RESIDUAL} over {MIN_SNAP}"
-        pairs.append((what, ratio, _over(ours[MIN_RESIDUAL], ours[MIN_SNAP])))
+        pairs.append((f"{what}, {over}", ratio, _over(ours[MIN_RESIDUAL], ours[MIN_SNAP])))
     for law, errors in published.TRACKING_M.items():
-        found = pretzel["controllers"][law]
-        for kind in KINDS:
-            pairs.append((f"pretzel: error_mean_m, {kind}, {law}", errors[kind], found[kind]["error_mean_m"]))
-        ratio = errors[MIN_RESIDUAL] / errors[MIN_SNAP]
-        what = f"pretzel: error_mean_m, {MIN_RESIDUAL} over {MIN_SNAP}, {law}"
-        pairs.append((what, ratio, found["ratio"]["mean"]))
+        found, what = (
+            pretzel["controllers"][law],
+            f"pretzel, mean position error, m, {tables.CONTROLLERS[law]}",
+        )
+        pairs += [(f"{what}, {kind}", errors[kind], found[kind]["error_mean_m"]) for kind in KINDS]
+        pairs.append((f"{what}, {over}", errors[MIN_RESIDUAL] / errors[MIN_SNAP], found["ratio"]["mean"]))
     return pairs
 
 
@@ -148,7 +145,7 @@ def _statistics(worlds: Sequence[World]) -> Row:
 def _prediction(errors: Sequence[Mapping[str, Any]], horizon: str) -> Row:
     """Return errors and ratios to the nominal model over worlds, by model and quantity."""
     of = {
-        method: {quantity: [e[method][horizon][quantity] for e in errors] for quantity in QUANTITIES}
+        method: {quantity: [e[method][horizon][quantity] for e in errors] for quantity in tables.QUANTITIES}
         for method in (NOMINAL, PAPER, OURS)
     }
     return {

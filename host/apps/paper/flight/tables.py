@@ -20,13 +20,13 @@ CONTROLLERS = {
     NEURAL: "feed-forward",
     NEURAL_OBSERVER: "Neural DO",
 }
-_QUANTITIES = {"position_rmse_m": "position, m", "velocity_rmse_m_s": "velocity, m/s"}
+QUANTITIES = {"position_rmse_m": "position, m", "velocity_rmse_m_s": "velocity, m/s"}
 _STATISTICS = {
     "speed_m_s": "speed, m/s",
     "acceleration_m_s2": "acceleration, m/s^2",
     "jerk_m_s3": "jerk, m/s^3",
 }
-_PLANS = {
+PLANS = {
     "acceleration_max_m_s2": "greatest acceleration, m/s^2",
     "jerk_max_m_s3": "greatest jerk, m/s^3",
     "acceleration_mean_m_s2": "mean acceleration, m/s^2",
@@ -84,7 +84,7 @@ def _prediction(prediction: Mapping[str, Any], horizon: str) -> list[Cells]:
     rows = []
     for name, label in SETS.items():
         found = prediction[name][horizon]
-        for quantity, unit in _QUANTITIES.items():
+        for quantity, unit in QUANTITIES.items():
             nominal, hybrid = published.ERRORS[name][quantity]
             row = {
                 "set": label,
@@ -103,7 +103,7 @@ def _prediction(prediction: Mapping[str, Any], horizon: str) -> list[Cells]:
 
 def _pretzel(pretzel: Mapping[str, Any]) -> list[Cells]:
     rows = []
-    for key, title in _PLANS.items():
+    for key, title in PLANS.items():
         paper, ours = published.PLANS[key], {kind: pretzel["plans"][kind][key] for kind in KINDS}
         ratio = None if None in ours.values() else ours[MIN_RESIDUAL] / ours[MIN_SNAP]
         rows.append(

@@ -20,7 +20,6 @@ from trimtab.host.apps.paper.flight.controllers import (
     TABLE_III,
     Controller,
     controllers,
-    feedforward_of,
 )
 from trimtab.host.apps.paper.flight.models import OURS, PAPER, learn_as_ours, learn_as_paper, predict
 from trimtab.host.apps.paper.flight.pretzel import fly_pretzel
@@ -28,6 +27,7 @@ from trimtab.host.apps.paper.paths import Course, statistics
 from trimtab.host.base.errors import FlightFailed
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
 from trimtab.host.plan import ResidualModel
 from trimtab.host.vehicle import Vehicle
@@ -96,7 +96,10 @@ def fly_world(
         PAPER: learn_as_paper(sets["train"], weights_seed, epochs=epochs),
         OURS: ours,
     }
-    laws = controllers(feedforward_of(ours, vehicle, effects))
+    made = correction(ours, vehicle, effects)
+    if made.excess is not None:
+        failed.append({"flight": "feed-forward", "why": f"{made.excess.quantity} beyond its range"})
+    laws = controllers(made.feedforward if made.excess is None else None)
     by_controller, lost = _transfer(site, courses, sets["test"], flown, laws, models, effects)
     return {
         "world": world,

@@ -39,19 +39,21 @@ def test_summary_names_what_is_worse_than_the_paper_and_nothing_else():
     world = made_up_world(ratio=0.7, error_m=0.112)
     worse = {row["what"]: row for row in summary({}, pieces(world))["answer"]["worse"]}
     # 0.7 of 0.1 m is more than the paper's 0.064 and 0.067 m; ours, 0.35, is less.
-    assert worse["train: position_rmse_m, paper"]["ours"] == pytest.approx(0.07)
-    assert worse["train: position_rmse_m, paper over nominal"]["paper"] == pytest.approx(0.064 / 0.101)
+    assert worse["prediction, training, position, m, paper's settings"]["ours"] == pytest.approx(0.07)
+    assert worse["prediction, training, position, m, paper's settings over nominal"][
+        "paper"
+    ] == pytest.approx(0.064 / 0.101)
     assert not any("ours" in what for what in worse)
     # 0.112 m of min-snap: less than 0.113 m by the baseline, more than 0.111 and 0.104 m.
-    assert "pretzel: error_mean_m, min-snap, baseline" not in worse
-    assert worse["pretzel: error_mean_m, min-snap, do"]["paper"] == 0.111
+    assert "pretzel, mean position error, m, baseline, min-snap" not in worse
+    assert worse["pretzel, mean position error, m, DO, min-snap"]["paper"] == 0.111
     # 0.8: less than the paper's 0.87 by the baseline and 0.808 by Neural DO, more than 0.784 by DO.
-    ratios = [what for what in worse if what.startswith("pretzel: error_mean_m, min-residual over")]
-    assert ratios == ["pretzel: error_mean_m, min-residual over min-snap, do"]
+    ratios = [what for what in worse if "position error" in what and what.endswith("over min-snap")]
+    assert ratios == ["pretzel, mean position error, m, DO, min-residual over min-snap"]
     # Both plans have 9 and 20 m/s^3: less than the paper's; acceleration over acceleration is 1.
-    assert "pretzel: jerk_max_m_s3, min-snap" not in worse
-    assert worse["pretzel: acceleration_max_m_s2, min-residual over min-snap"]["ours"] == 1.0
-    assert "pretzel: jerk_max_m_s3, min-residual over min-snap" not in worse
+    assert "pretzel, greatest jerk, m/s^3, min-snap" not in worse
+    assert worse["pretzel, greatest acceleration, m/s^2, min-residual over min-snap"]["ours"] == 1.0
+    assert "pretzel, greatest jerk, m/s^3, min-residual over min-snap" not in worse
 
 
 def test_summary_first_table_is_what_is_worse():

@@ -20,7 +20,6 @@ from trimtab.host.apps.paper.flight.controllers import (
     OBSERVER,
     Controller,
     controllers,
-    feedforward_of,
 )
 from trimtab.host.apps.paper.flight.world import TEST_FLIGHTS, WORLD, split
 from trimtab.host.base.errors import FlightFailed
@@ -28,6 +27,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.learn.evaluate import model_errors
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
+from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.models.region import Region
@@ -73,17 +73,17 @@ def test_predict_whole_flights_are_those_of_the_library_and_segments_err_less():
 
 
 def test_split_draws_three_known_flights_for_the_test():
-    courses: Any = [SimpleNamespace(name=f"p{k}", out_of_distribution=False) for k in range(16)]
-    courses += [SimpleNamespace(name=f"o{k}", out_of_distribution=True) for k in range(3)]
-    flown: Any = {c.name: c.name for c in courses if c.name not in ("p3", "o1")}
-    sets: Any = split(courses, flown, np.random.default_rng(4))
+    drawn: Any = [SimpleNamespace(name=f"p{k}", out_of_distribution=False) for k in range(16)]
+    drawn += [SimpleNamespace(name=f"o{k}", out_of_distribution=True) for k in range(3)]
+    flown: Any = {c.name: c.name for c in drawn if c.name not in ("p3", "o1")}
+    sets: Any = split(drawn, flown, np.random.default_rng(4))
     assert (len(sets["train"]), len(sets["test"])) == (15 - TEST_FLIGHTS, TEST_FLIGHTS)
     assert sets["ood"] == ["o0", "o2"]
     assert sorted(sets["train"] + sets["test"]) == sorted(n for n in flown if n.startswith("p"))
 
 
 def test_controllers_with_a_feedforward_are_the_four_of_the_paper():
-    blob = not_none(feedforward_of(model(), VEHICLE, EFFECTS))
+    blob = not_none(correction(model(), VEHICLE, EFFECTS).feedforward)
     by_name = {law.name: law for law in controllers(blob)}
     assert list(by_name) == [BASELINE, OBSERVER, NEURAL, NEURAL_OBSERVER]
     assert by_name[NEURAL].feedforward is by_name[NEURAL_OBSERVER].feedforward is blob
@@ -91,24 +91,6 @@ def test_controllers_with_a_feedforward_are_the_four_of_the_paper():
     gains = {name: law.parameters.get("OBS_GAIN", 0.0) for name, law in by_name.items()}
     assert gains == {BASELINE: 0.0, OBSERVER: BANDWIDTH, NEURAL: 0.0, NEURAL_OBSERVER: BANDWIDTH}
     assert [law.name for law in controllers(None)] == [BASELINE, OBSERVER]
-
-
-def test_feedforward_holds_network_frame_and_region_of_the_model():
-    learned = model()
-    blob = not_none(feedforward_of(learned, VEHICLE, EFFECTS))
-    assert (blob.version, blob.layers, blob.frame, blob.model_id) == (2, (4,), "world", learned.id)
-    np.testing.assert_allclose(blob.weights, not_none(learned.network).xi, rtol=1e-6)
-    region = not_none(blob.region)
-    assert region.tilt_max_rad == pytest.approx(np.pi / 4)
-    assert region.thrust_max_m_s2 == pytest.approx(12.0 / VEHICLE.mass_kg)
-
-
-def test_feedforward_without_network_holds_the_drag_and_an_empty_model_has_none():
-    blob = not_none(feedforward_of(model(network=False), VEHICLE, EFFECTS))
-    assert blob.layers == ()
-    assert not_none(blob.block)[4:7] == pytest.approx((0.4, 0.4, 0.1))
-    empty = Model(vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name)
-    assert feedforward_of(empty, VEHICLE, EFFECTS) is None
 
 
 def test_pretzel_plans_share_time_and_ends_and_have_the_papers_steps():
