@@ -75,7 +75,8 @@ def fly_world(
 ) -> dict[str, Any]:
     """Return what section VI measures in one world. Logs stay in `folder`.
 
-    pretzels: flights of each plan by each controller. epochs: of the paper's learning.
+    pretzels: flights of each plan by each controller. epochs: of the paper's learning. Raises FlightFailed if
+    no flight of a set reached its end.
     """
     shutil.rmtree(folder, ignore_errors=True)
     folder.mkdir(parents=True)
@@ -126,11 +127,17 @@ def fly_world(
 def split(
     courses: Sequence[Course], flown: Mapping[str, Flight], rng: np.random.Generator
 ) -> dict[str, list[Flight]]:
-    """Return flights by set: of those in distribution three drawn for the test, and those out of it."""
+    """Return flights by set: of those in distribution three drawn for the test, and those out of it.
+
+    Raises FlightFailed if a set has none.
+    """
     known = [c.name for c in courses if not c.out_of_distribution and c.name in flown]
     order = [known[i] for i in rng.permutation(len(known))]
     ood = [c.name for c in courses if c.out_of_distribution and c.name in flown]
     names = {"train": order[TEST_FLIGHTS:], "test": order[:TEST_FLIGHTS], "ood": ood}
+    for name, chosen in names.items():
+        if not chosen:
+            raise FlightFailed(f"no flight of the set {name} reached its end; choose another --seed")
     return {name: [flown[each] for each in chosen] for name, chosen in names.items()}
 
 

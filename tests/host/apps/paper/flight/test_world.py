@@ -82,6 +82,13 @@ def test_split_draws_three_known_flights_for_the_test():
     assert sorted(sets["train"] + sets["test"]) == sorted(n for n in flown if n.startswith("p"))
 
 
+def test_split_without_a_flight_out_of_distribution_is_refused():
+    drawn: Any = [SimpleNamespace(name=f"p{k}", out_of_distribution=k == 4) for k in range(5)]
+    flown: Any = {c.name: c.name for c in drawn[:4]}
+    with pytest.raises(FlightFailed, match="ood"):
+        split(drawn, flown, np.random.default_rng(4))
+
+
 def test_controllers_with_a_feedforward_are_the_four_of_the_paper():
     blob = not_none(correction(model(), VEHICLE, EFFECTS).feedforward)
     by_name = {law.name: law for law in controllers(blob)}
