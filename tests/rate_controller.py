@@ -81,7 +81,12 @@ def predicted(
             v[i] += dt * a
         w, x, y, z = q
         a, b, c = (0.5 * dt * rate for rate in sent[k].rate_frd)
-        q = [w - a * x - b * y - c * z, x + a * w + c * y - b * z, y + b * w - c * x + a * z, z + c * w + b * x - a * y]
+        q = [
+            w - a * x - b * y - c * z,
+            x + a * w + c * y - b * z,
+            y + b * w - c * x + a * z,
+            z + c * w + b * x - a * y,
+        ]
         length = sum(value * value for value in q) ** 0.5
         q = [value / length for value in q]
         t_us += PREDICTION_US

@@ -31,8 +31,6 @@ LEAD_US = 1_000_000
 """Time from the controller's first step to the start of the reference."""
 HOLD_US = 1_000_000
 """Time from the end of the reference to the command to land, in which the controller holds the last node."""
-LATE_US = 2 * TICK_US
-"""A command that is sent later than this after the declared computing time counts as late."""
 ESTIMATE_AGE_MAX_US = 250_000
 """Age of the newest estimate above which no command is sent any more."""
 SETPOINT_US = 100_000

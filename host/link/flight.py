@@ -213,8 +213,9 @@ class FlightDirector:
     def _start(self) -> Generator[Task, Any, None]:
         """Start the flight: on the reference, or up to its height for a controller on the host.
 
-        Raises FlightFailed if the vehicle refuses and stays on the ground. A vehicle that already flies, or that went into failsafe after arming, also refuses; there is a flight
-        to follow then. The status is requested anew, because the last one may be older than the refusal.
+        Raises FlightFailed if the vehicle refuses and stays on the ground. A vehicle that already flies, or
+        that went into failsafe after arming, also refuses; there is a flight to follow then. The status is
+        requested anew, because the last one may be older than the refusal.
         """
         command = Command(mavlink.MAV_CMD_MISSION_START, what="start")
         if self._request.control is not None:

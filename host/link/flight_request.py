@@ -75,8 +75,8 @@ class FlightEnd:
     """How a flight ended.
 
     `whole`: the reference was flown to its end. `failsafe`: name of the failsafe that ended the flight, if
-    any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a controller on the host
-    ended its commands early; None if it did not, or without one.
+    any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a controller on the
+    host ended its commands early; None if it did not, or without one.
     """
 
     whole: bool

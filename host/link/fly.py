@@ -122,8 +122,8 @@ def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveSta
         raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {request.log_path}", result)
     if end.stop is not None and request.control is not None:
         raise FlightEnded(
-            f"the controller {request.control.name} {STOP_WORDS[end.stop]}; the vehicle has landed; its log is "
-            f"{request.log_path}",
+            f"the controller {request.control.name} {STOP_WORDS[end.stop]}; the vehicle has landed; "
+            f"its log is {request.log_path}",
             result,
         )
     if not end.whole:

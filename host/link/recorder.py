@@ -135,7 +135,7 @@ class Recorder:
         self._log.text(log_us, log_us, mavlink.MAV_SEVERITY_INFO, text, "host")
 
     def begin_control(self, control: HostControl, start_us: int, now_us: int) -> None:
-        """Log that a controller on the host takes over; the reference starts at `start_us`, vehicle's clock."""
+        """Log that a controller takes over; the reference starts at `start_us` on the vehicle's clock."""
         self._control_start_us = start_us
         self._first.start_tick = start_us // TICK_US
         entries = {
