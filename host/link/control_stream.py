@@ -97,7 +97,7 @@ class ControlStream:
         Whether the controller has flown the reference to its end.
     """
 
-    wants = (m.FcEstimate,)
+    wants: tuple[type[Message], ...] = (m.FcEstimate,)
 
     def __init__(
         self,
@@ -205,10 +205,25 @@ class ControlStream:
         self.deadline_us = self._setpoint_us if self._offboard else min(self._setpoint_us, self._command_us)
 
     def _first_node(self) -> Message:
-        p, yaw = self._reference.nodes_ned()[0].state[:3], self._reference.yaw_nodes()[0].yaw
-        frame = mavlink.MAV_FRAME_LOCAL_NED
-        unused = (0.0,) * 6
-        return m.SetPositionTarget(0, *m.VEHICLE, frame, _POSITION_AND_YAW, *p, *unused, yaw, 0.0)
+        north, east, down = self._reference.nodes_ned()[0].state[:3]
+        return m.SetPositionTarget(
+            time_boot_ms=0,
+            target_system=m.VEHICLE[0],
+            target_component=m.VEHICLE[1],
+            coordinate_frame=mavlink.MAV_FRAME_LOCAL_NED,
+            type_mask=_POSITION_AND_YAW,
+            x=north,
+            y=east,
+            z=down,
+            vx=0.0,
+            vy=0.0,
+            vz=0.0,
+            afx=0.0,
+            afy=0.0,
+            afz=0.0,
+            yaw=self._reference.yaw_nodes()[0].yaw,
+            yaw_rate=0.0,
+        )
 
     def _is_at_start(self, estimate: m.FcEstimate) -> bool:
         w, x, y, z = decode_quaternion(estimate.q)

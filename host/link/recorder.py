@@ -18,7 +18,7 @@ from trimtab.host.log.tracking import reference_at
 from trimtab.host.log.writer import Stamps
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.telemetry import (
     OVERTAKEN_TICKS,
@@ -153,7 +153,7 @@ class Recorder:
         assert self._control_start_us is not None
         step, source_us = record.step, record.t_us + self._control_start_us
         command = step.command
-        message = flight_pb2.HostControl(
+        message = host_control_pb2.HostControl(
             source_us=source_us,
             reference_us=record.t_us,
             outcome=cast(Any, int(step.status)),

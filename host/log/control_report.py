@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.log.tracks import Flight
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import host_control_pb2
 from trimtab.protocol.telemetry import TICK_US
 
 LATE_US = 2 * TICK_US
@@ -19,7 +19,7 @@ def control_report(flight: Flight) -> dict[str, Any] | None:
     steps = flight.host_control
     if steps is None:
         return None
-    outcomes = flight_pb2.HostControl.Outcome.items()
+    outcomes = host_control_pb2.HostControl.Outcome.items()
     ages_ms = 1e-3 * steps.estimate_age_us
     return {
         "controller": steps.controller,

@@ -24,7 +24,7 @@ from trimtab.host.log.tracks import (
     Status,
     Times,
 )
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 
 CAMERAS_SET_US = 25_000
 """Jump of the cameras' clock against the host's above which the clock was set."""
@@ -199,7 +199,7 @@ def read_host_control(
     entries: Mapping[str, Sequence[Entry]], record: Mapping[str, str] | None, shift_us: int
 ) -> HostControl | None:
     """Return the steps of a controller on the host, described by `record`; None if the log has none."""
-    messages = [m for _, m in decoded(entries, topics.HOST_CONTROL, flight_pb2.HostControl)]
+    messages = [m for _, m in decoded(entries, topics.HOST_CONTROL, host_control_pb2.HostControl)]
     if record is None or not messages:
         return None
     start_us = int(record["reference_start_us"]) - shift_us

@@ -8,7 +8,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message
 
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 
 MOCAP_POSE = "/mocap/pose"
 FC_ESTIMATE = "/fc/estimate"
@@ -108,7 +108,7 @@ CONTROLLED_TOPICS: tuple[Topic, ...] = (
     *FLIGHT_TOPICS,
     Topic(
         name=HOST_CONTROL,
-        message=flight_pb2.HostControl,
+        message=host_control_pb2.HostControl,
         sampling="sampled",
         rate="step rate",
         content="steps of the controller on the host: outcome, age of the estimate, command and its time",

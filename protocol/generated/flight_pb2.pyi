@@ -167,36 +167,6 @@ class Status(_message.Message):
     swap_us: int
     def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ..., loop_mean_us: _Optional[int] = ..., jitter_us: _Optional[int] = ..., mocap_age_max_us: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., conditions: _Optional[int] = ..., action: _Optional[int] = ..., swap_us: _Optional[int] = ...) -> None: ...
 
-class HostControl(_message.Message):
-    __slots__ = ("source_us", "reference_us", "outcome", "iterations", "estimate_age_us", "act_us", "rate_cmd_rad_s", "collective_n", "late_us")
-    class Outcome(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
-        __slots__ = ()
-        SOLVED: _ClassVar[HostControl.Outcome]
-        BUDGET_SPENT: _ClassVar[HostControl.Outcome]
-        INFEASIBLE: _ClassVar[HostControl.Outcome]
-    SOLVED: HostControl.Outcome
-    BUDGET_SPENT: HostControl.Outcome
-    INFEASIBLE: HostControl.Outcome
-    SOURCE_US_FIELD_NUMBER: _ClassVar[int]
-    REFERENCE_US_FIELD_NUMBER: _ClassVar[int]
-    OUTCOME_FIELD_NUMBER: _ClassVar[int]
-    ITERATIONS_FIELD_NUMBER: _ClassVar[int]
-    ESTIMATE_AGE_US_FIELD_NUMBER: _ClassVar[int]
-    ACT_US_FIELD_NUMBER: _ClassVar[int]
-    RATE_CMD_RAD_S_FIELD_NUMBER: _ClassVar[int]
-    COLLECTIVE_N_FIELD_NUMBER: _ClassVar[int]
-    LATE_US_FIELD_NUMBER: _ClassVar[int]
-    source_us: int
-    reference_us: int
-    outcome: HostControl.Outcome
-    iterations: int
-    estimate_age_us: int
-    act_us: int
-    rate_cmd_rad_s: _containers.RepeatedScalarFieldContainer[float]
-    collective_n: _containers.RepeatedScalarFieldContainer[float]
-    late_us: int
-    def __init__(self, source_us: _Optional[int] = ..., reference_us: _Optional[int] = ..., outcome: _Optional[_Union[HostControl.Outcome, str]] = ..., iterations: _Optional[int] = ..., estimate_age_us: _Optional[int] = ..., act_us: _Optional[int] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., collective_n: _Optional[_Iterable[float]] = ..., late_us: _Optional[int] = ...) -> None: ...
-
 class Link(_message.Message):
     __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us", "messages_sent", "messages_received", "messages_lost", "rtt_last_us", "bytes_sent", "bytes_received", "radios")
     FRAMES_SENT_FIELD_NUMBER: _ClassVar[int]
