@@ -24,7 +24,7 @@ _LABEL_SIGMA = 0.01
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labelled:
-    """Nodes (S, n) with phi's state (S, n, size), drive (S, n, 22) and acceleration (S, n, 3), NED."""
+    """Nodes (S, n) with phi's state (S, n, size), drive (S, n, 23) and acceleration (S, n, 3), NED."""
 
     states: np.ndarray
     drive: np.ndarray
