@@ -5,8 +5,9 @@
 
 f is the acceleration of the model, v the estimated velocity, sigma the piecewise-constant adaptation, w its
 low-pass filter, which is what the controller uses. sigma settles at exp(-a_s dt) of a constant disturbance;
-the filter's input corrects this, so that w settles at the disturbance itself. Sources: Hovakimyan and Cao, "L1 Adaptive Control Theory",
-SIAM 2010, section 3.3; Wu et al., "L1-Quad", 2023; Huang et al., "DATT", CoRL 2023.
+the filter's input corrects this, so that w settles at the disturbance itself. Sources: Hovakimyan and Cao,
+"L1 Adaptive Control Theory", SIAM 2010, section 3.3; Wu et al., "L1-Quad: L1 Adaptive Augmentation of
+Geometric Control for Agile Quadrotors"; Huang et al., "DATT", CoRL 2023.
 """
 
 from __future__ import annotations

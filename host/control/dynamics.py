@@ -8,8 +8,8 @@ the command that is streamed: omega_cmd 3 and T_cmd. d is the residual accelerat
 disturbance. Attitude is in Euler angles, as in `trimtab.host.models`: the networks and effects take them, and
 every vehicle file keeps the tilt far from the singularity at a pitch of 90 degrees.
 
-The rate loop of the vehicle answers a command with torque J (K_p (omega_cmd - omega) - K_d omega'). Its lag is
-therefore (1 + K_d) / K_p. The motors' lag does not change the mean delay of its step response.
+The rate loop of the vehicle answers a command with the torque J (K_p (omega_cmd - omega) - K_d omega'). Its
+lag is therefore (1 + K_d) / K_p. The motors' lag does not change the mean delay of its step response.
 """
 
 from __future__ import annotations
@@ -112,7 +112,7 @@ class ControlModel:
         return ca.vertcat(*body[: RATE.start], *rates, (u[3] - x[COLLECTIVE]) / lag_s)
 
     def residual(self, x: ca.SX, p: ca.SX) -> ca.SX:
-        """Return the acceleration (3,), m/s^2 NED, that disturbance and effects add to the nominal vehicle."""
+        """Return the acceleration (3,), m/s^2 NED, that disturbance and effects add to the vehicle."""
         scalars = rigid(ca.vertsplit(x))
         with_parts = rigid_body(CASADI, self.vehicle, self._parts(p), scalars)[V]
         nominal = rigid_body(CASADI, self.vehicle, (), scalars)[V]

@@ -51,7 +51,7 @@ class Mpc:
             raise ValueError(f'residual is "{settings.residual}", which does not go with model {model!r}')
         self.settings = settings
         self._model = ControlModel.of(vehicle, settings.rate_lag_s, model, effects)
-        cost = _cost(settings, self._model)
+        cost = cost_parameters(settings, self._model)
         self._solver = TrackingSolver(self._model, stages=settings.stages, step_s=settings.step_s, cost=cost)
         self._reference: Reference | None = None
         self._reset()
@@ -197,7 +197,7 @@ def _active(sent: Sequence[RateCommand], t_us: int, hold: Array | None) -> Array
     return np.array([*acting[-1].rate_frd, acting[-1].collective_n], dtype=float)
 
 
-def _cost(settings: MpcSettings, model: ControlModel) -> Array:
+def cost_parameters(settings: MpcSettings, model: ControlModel) -> Array:
     """Return the parameters of the cost, in the order of `COST`."""
     w = settings.weights
     low, high = model.input_bounds()

@@ -10,6 +10,7 @@ from typing import Annotated, Literal, Self
 
 from pydantic import Field, model_validator
 
+from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.host.vehicle.model import Name, NonNegative, NonNegative3, Positive, Positive3
 from trimtab.host.vehicle.strict_toml import Strict
 
@@ -51,7 +52,16 @@ class DfbcSettings(Strict):
     feedforward: bool
     """Whether the flight needs a feed-forward of the learned residual on board."""
     gains: GainsOverride = GainsOverride()
-    tuned: Tuned
+    tuned: Tuned | None = None
+
+    def parameters(self, vehicle: Vehicle) -> dict[str, float]:
+        """Return a value for every parameter of the firmware: the vehicle's, with these settings.
+
+        Raises ConfigurationError for values that the firmware does not accept.
+        """
+        changed = {name: value for name, value in self.gains.model_dump().items() if value is not None}
+        gains = {**vehicle.gains.model_dump(), **changed, "observer": self.observer_bandwidth_1_s}
+        return to_parameters(vehicle.replace(gains=gains))
 
 
 class Weights(Strict):
@@ -102,7 +112,7 @@ class MpcSettings(Strict):
     """Lag of the rate loop about the body axes. By default that of the vehicle's gains."""
     weights: Weights
     adaptation: AdaptationSettings | None = None
-    tuned: Tuned
+    tuned: Tuned | None = None
 
     @model_validator(mode="after")
     def _whole_stages(self) -> Self:

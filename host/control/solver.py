@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.control.dynamics import INPUTS, STATES, ControlModel
+from trimtab.host.control.dynamics import STATES, ControlModel
 from trimtab.host.control.interface import SolveStatus
 from trimtab.host.control.sweeps import GAINS, sweeps
 from trimtab.host.control.targets import target_function
@@ -25,7 +25,7 @@ Array = NDArray[np.float64]
 _HALVINGS = 5
 _LEAST_SHARE = 1e-4
 """Share of the predicted decrease that a change must bring."""
-_ROUNDING = 1e-9
+_ROUNDING = 1e-10
 """Relative decrease of the cost below which rounding decides whether a change lowers it."""
 
 

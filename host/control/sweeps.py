@@ -3,9 +3,7 @@
 The forward sweep predicts the states of a plan by RK4 and linearises every stage. The backward sweep returns
 the change of the inputs that minimises the quadratic model of the cost within the bounds of the inputs: a
 Riccati recursion in which every stage is a box-constrained problem of four unknowns (Tassa, Mansard and
-Todorov, "Control-limited differential dynamic programming", ICRA 2014), with a Gauss-Newton Hessian. The
-network is evaluated once a stage and continued linearly inside it (Salzmann et al., "Real-time neural MPC",
-RA-L 2023).
+Todorov, "Control-limited differential dynamic programming", ICRA 2014), with a Gauss-Newton Hessian.
 """
 
 from __future__ import annotations
@@ -20,6 +18,8 @@ from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, Control
 from trimtab.host.models.airframe import THETA, V
 
 GAINS = STATES * INPUTS
+_ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
+_WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
 _ACTIVE_SET_ROUNDS = 6
 """Rounds of the active set of four bounds; 16 sets exist, two or three rounds are usual."""
 
@@ -63,62 +63,104 @@ class Sweeps:
 @held_interrupts()
 def sweeps(model: ControlModel, stages: int) -> Sweeps:
     """Return the functions for plans of this many stages. Weights, effects and costs are data."""
-    stage, slopes = _stage(model)
-    network = network_terms(model)
+    stage = _Stage(model)
     return Sweeps(
-        advance=_advance(model, stage, network),
-        forward=_forward(model, stages, slopes, network),
-        backward=_backward(stages, slopes.sparsity_a, slopes.sparsity_b),
+        advance=_advance(model, stage),
+        forward=_forward(model, stages, stage),
+        backward=_backward(stages, stage.sparsity_a, stage.sparsity_b),
     )
 
 
-@dataclass(frozen=True, kw_only=True)
-class _Slopes:
-    """The stage with its Jacobians (nonzeros), and their patterns."""
-
-    function: ca.Function
-    sparsity_a: ca.Sparsity
-    sparsity_b: ca.Sparsity
-
-
-def network_terms(model: ControlModel) -> ca.Function:
+def _network_slopes(model: ControlModel) -> ca.Function:
     """Return (xi, v_ned and Theta) -> acceleration (3), Jacobian (3, 6); zeros without a network."""
     xi, state = ca.MX.sym("xi", len(model.weights)), ca.MX.sym("state", 6)
     if model.network is None:
-        return ca.Function("network", [xi, state], [ca.MX(ca.DM.zeros(3)), ca.MX(ca.DM.zeros(3, 6))])
+        zeros = [ca.MX(ca.DM.zeros(3)), ca.MX(ca.DM.zeros(3, 6))]
+        return ca.Function("network_slopes", [xi, state], zeros)
     d = model.network.layout.matrices(xi, state)
-    return ca.Function("network", [xi, state], [d, ca.densify(ca.jacobian(d, state))], {"cse": True})
+    return ca.Function("network_slopes", [xi, state], [d, ca.densify(ca.jacobian(d, state))], {"cse": True})
 
 
-def _stage(model: ControlModel) -> tuple[ca.Function, _Slopes]:
-    """Return x_next by one RK4 step, without and with Jacobians."""
-    x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)
-    step_s, p = ca.SX.sym("step_s"), ca.SX.sym("p", len(model.parameters))
-    d, d_slope = ca.SX.sym("d", 3), ca.SX.sym("d_slope", 3, 6)
-    seen = ca.SX.sym("seen", 6)  # where the network was evaluated: constant under differentiation
+def network_value(model: ControlModel) -> ca.Function:
+    """Return (xi, v_ned and Theta) -> acceleration (3); zeros without a network."""
+    xi, state = ca.MX.sym("xi", len(model.weights)), ca.MX.sym("state", 6)
+    d = ca.MX(ca.DM.zeros(3))
+    if model.network is not None:
+        d = model.network.layout.matrices(xi, state)
+    return ca.Function("network", [xi, state], [d], {"cse": True})
 
-    def slope(at: ca.SX) -> ca.SX:
-        learned = d + d_slope @ (at[NETWORK_STATE] - seen) if model.network is not None else ca.SX(3, 1)
-        return model.derivative(at, u, p, learned)
 
-    k1 = slope(x)
-    k2 = slope(x + 0.5 * step_s * k1)
-    k3 = slope(x + 0.5 * step_s * k2)
-    k4 = slope(x + step_s * k3)
-    x_next = x + step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-    a, b = ca.jacobian(x_next, x), ca.jacobian(x_next, u)
-    start = x[NETWORK_STATE]
-    inputs = [x, u, step_s, p, d, d_slope]
-    next_at, a_nz, b_nz = ca.substitute([x_next, a.nz[:], b.nz[:]], [seen], [start])
-    options = {"cse": True}
-    return (
-        ca.Function("stage", inputs, [ca.densify(next_at)], options),
-        _Slopes(
-            function=ca.Function("stage_slopes", inputs, [ca.densify(next_at), a_nz, b_nz], options),
-            sparsity_a=a.sparsity(),
-            sparsity_b=b.sparsity(),
-        ),
-    )
+class _Stage:
+    """One RK4 step from MX arguments: its evaluations of the dynamics, and the chain rule over them."""
+
+    def __init__(self, model: ControlModel) -> None:
+        self._network, self._network_slopes = network_value(model), _network_slopes(model)
+        x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)
+        p, step_s = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("step_s")
+        d, d_slope = ca.SX.sym("d", 3), ca.SX.sym("d_slope", 3, NETWORK_STATE.stop - NETWORK_STATE.start)
+        slope = model.derivative(x, u, p, d)
+        by_x, by_u = ca.jacobian(slope, x), ca.jacobian(slope, u)
+        if model.network is not None:
+            learned = ca.SX(STATES, STATES)
+            learned[V, NETWORK_STATE] = d_slope
+            by_x += learned
+        options = {"cse": True}
+        self._slope = ca.Function("slope", [x, u, p, d], [ca.densify(slope)], options)
+        self._slopes = ca.Function(
+            "slopes", [x, u, p, d, d_slope], [ca.densify(slope), by_x.nz[:], by_u.nz[:]], options
+        )
+        k = [ca.SX.sym(f"k{i}", STATES) for i in range(4)]
+        self._end = ca.Function(
+            "end", [x, step_s, *k], [x + step_s / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])]
+        )
+        share = ca.SX.sym("share")
+        self._inside = ca.Function("inside", [x, step_s, share, k[0]], [x + share * step_s * k[0]])
+        self._chain, self.sparsity_a, self.sparsity_b = _chain_rule(by_x.sparsity(), by_u.sparsity())
+
+    def next(self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, xi: ca.MX) -> ca.MX:
+        """Return x_next."""
+        ks: list[ca.MX] = []
+        for share in _ALONG:
+            at = self._inside(x, step_s, share, ks[-1]) if ks else x
+            ks.append(self._slope(at, u, p, self._network(xi, at[NETWORK_STATE])))
+        return self._end(x, step_s, *ks)
+
+    def linearised(
+        self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, xi: ca.MX
+    ) -> tuple[ca.MX, ca.MX, ca.MX]:
+        """Return x_next and the nonzeros of its Jacobians in x and u."""
+        ks: list[ca.MX] = []
+        by_x: list[ca.MX] = []
+        by_u: list[ca.MX] = []
+        for share in _ALONG:
+            at = self._inside(x, step_s, share, ks[-1]) if ks else x
+            k, a, b = self._slopes(at, u, p, *self._network_slopes(xi, at[NETWORK_STATE]))
+            ks.append(k)
+            by_x.append(a)
+            by_u.append(b)
+        return self._end(x, step_s, *ks), *self._chain(step_s, *by_x, *by_u)
+
+
+def _chain_rule(
+    sparsity_x: ca.Sparsity, sparsity_u: ca.Sparsity
+) -> tuple[ca.Function, ca.Sparsity, ca.Sparsity]:
+    """Return (step_s, 4 x d slope/dx, 4 x d slope/du) -> A and B of the RK4 step, with their patterns."""
+    step_s = ca.SX.sym("step_s")
+    xs = [ca.SX.sym(f"x{i}", sparsity_x.nnz()) for i in range(4)]
+    us = [ca.SX.sym(f"u{i}", sparsity_u.nnz()) for i in range(4)]
+    a, b = ca.SX(STATES, STATES), ca.SX(STATES, INPUTS)
+    total_a, total_b = ca.SX(STATES, STATES), ca.SX(STATES, INPUTS)
+    for x_nz, u_nz, share, weight in zip(xs, us, _ALONG, _WEIGHT, strict=True):
+        by_x = ca.SX(sparsity_x, x_nz)
+        at_b = share * step_s * b
+        a = by_x @ (ca.SX.eye(STATES) + share * step_s * a)
+        b = by_x @ at_b + ca.SX(sparsity_u, u_nz)
+        total_a += weight * a
+        total_b += weight * b
+    total_a = ca.sparsify(ca.SX.eye(STATES) + step_s * total_a)
+    total_b = ca.sparsify(step_s * total_b)
+    chain = ca.Function("chain", [step_s, *xs, *us], [total_a.nz[:], total_b.nz[:]], {"cse": True})
+    return chain, total_a.sparsity(), total_b.sparsity()
 
 
 def _cost(*, terminal: bool) -> ca.Function:
@@ -143,15 +185,18 @@ def _cost(*, terminal: bool) -> ca.Function:
     return ca.Function(name, [x, u, reference, cost], outputs, {"cse": True})
 
 
-def _advance(model: ControlModel, stage: ca.Function, network: ca.Function) -> ca.Function:
-    x, u, step_s = ca.MX.sym("x", STATES), ca.MX.sym("u", INPUTS), ca.MX.sym("step_s")
-    p, xi = ca.MX.sym("p", len(model.parameters)), ca.MX.sym("xi", len(model.weights))
-    d, d_slope = network(xi, x[NETWORK_STATE])
-    x_next = stage(x, u, step_s, p, d, d_slope)
-    return ca.Function("advance", [x, u, step_s, p, xi], [x_next], ["x", "u", "step_s", "p", "xi"], ["next"])
+def _advance(model: ControlModel, stage: _Stage) -> ca.Function:
+    inputs = {
+        "x": ca.MX.sym("x", STATES),
+        "u": ca.MX.sym("u", INPUTS),
+        "step_s": ca.MX.sym("step_s"),
+        "p": ca.MX.sym("p", len(model.parameters)),
+        "xi": ca.MX.sym("xi", len(model.weights)),
+    }
+    return _named("advance", inputs, {"next": stage.next(*inputs.values())})
 
 
-def _forward(model: ControlModel, stages: int, slopes: _Slopes, network: ca.Function) -> ca.Function:
+def _forward(model: ControlModel, stages: int, stage: _Stage) -> ca.Function:
     inputs = {
         "x0": ca.MX.sym("x0", STATES),
         "x_plan": ca.MX.sym("x_plan", STATES, stages),
@@ -172,8 +217,7 @@ def _forward(model: ControlModel, stages: int, slopes: _Slopes, network: ca.Func
     for x_plan, u_plan, k, K, reference in zip(*per_stage, strict=False):
         u = policy(x, x_plan, u_plan, k, K, inputs["alpha"], inputs["cost"])
         total += stage_cost(x, u, reference, inputs["cost"])[0]
-        d, d_slope = network(inputs["xi"], x[NETWORK_STATE])
-        x, a_nz, b_nz = slopes.function(x, u, inputs["step_s"], inputs["p"], d, d_slope)
+        x, a_nz, b_nz = stage.linearised(x, u, inputs["step_s"], inputs["p"], inputs["xi"])
         xs.append(x)
         us.append(u)
         a_columns.append(a_nz)
