@@ -99,8 +99,7 @@ class Mpc:
 
     def _observe(self, measured: Array, t_us: int, sent: Sequence[RateCommand]) -> Array:
         """Return the state (13) at an estimate (12): its thrust is predicted. Updates the adaptation."""
-        now_n = _active(sent, t_us, None)
-        thrust_n = self._model.weight_n if now_n is None else now_n[3]
+        thrust_n = _active(sent, t_us, np.full(4, self._model.weight_n))[3]
         if self._last is not None:
             before, before_us = self._last
             hold = np.append(before[RATE], before[COLLECTIVE])
@@ -189,7 +188,7 @@ def _measured(estimate: StateEstimate) -> Array | None:
     return np.array([*values[:6], roll, pitch, yaw, *values[10:]])
 
 
-def _active(sent: Sequence[RateCommand], t_us: int, hold: Array | None) -> Array | None:
+def _active(sent: Sequence[RateCommand], t_us: int, hold: Array) -> Array:
     """Return the inputs (4) in effect at a time; `hold` before the first command."""
     acting = [command for command in sent if command.t_us <= t_us]
     if not acting:

@@ -71,11 +71,11 @@ class TrackingSolver:
             )
         )
         for call in (self._advance, self._forward, self._targets):
-            call.inputs["xi"].flat = model.weights
-            call.inputs["p"].flat = model.parameters
+            call.inputs["xi"][0] = model.weights
+            call.inputs["p"][0] = model.parameters
             call.inputs["step_s"][:] = step_s
         for call in (self._forward, self._backward):
-            call.inputs["cost"].flat = cost
+            call.inputs["cost"][0] = cost
 
     def disturb(self, w_ned: Annotated[np.ndarray, "3"]) -> None:
         """Set the constant disturbance (m/s^2, NED) of the model."""
@@ -88,8 +88,8 @@ class TrackingSolver:
         """Return the predicted state after `dt_s` under constant inputs, by RK4 steps of at most `step_s`."""
         count = max(1, int(np.ceil(dt_s / self.step_s - 1e-9)))
         call = self._advance
-        call.inputs["u"].flat, call.inputs["step_s"][:] = u, dt_s / count
-        call.outputs["next"].flat = x
+        call.inputs["u"][0], call.inputs["step_s"][:] = u, dt_s / count
+        call.outputs["next"][0] = x
         for _ in range(count):
             call.inputs["x"][:] = call.outputs["next"]
             call()
@@ -119,7 +119,7 @@ class TrackingSolver:
         It is solved where no input changes by more than `tolerance` of its range in an iteration.
         """
         forward, backward = self._forward, self._backward
-        forward.inputs["x0"].flat = x0
+        forward.inputs["x0"][0] = x0
         forward.inputs["reference"][:] = targets
         backward.inputs["reference"][:] = targets
         forward.inputs["k"][:] = 0.0

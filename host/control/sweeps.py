@@ -138,7 +138,8 @@ class _Stage:
             ks.append(k)
             by_x.append(a)
             by_u.append(b)
-        return self._end(x, step_s, *ks), *self._chain(step_s, *by_x, *by_u)
+        a_nz, b_nz = self._chain(step_s, *by_x, *by_u)
+        return self._end(x, step_s, *ks), a_nz, b_nz
 
 
 def _chain_rule(

@@ -51,7 +51,7 @@ class Plant:
         self._call.inputs["step_s"][:] = 1e-6 * PLANT_STEP_US
 
     def after(self, x: np.ndarray, u: np.ndarray) -> np.ndarray:
-        self._call.inputs["x"].flat, self._call.inputs["u"].flat = x, u
+        self._call.inputs["x"][0], self._call.inputs["u"][0] = x, u
         self._call()
         return self._call.outputs["next"].reshape(-1).copy()
 

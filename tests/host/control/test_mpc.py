@@ -22,6 +22,7 @@ from trimtab.host.models.airframe import P
 NOMINAL = ControlModel.of(VEHICLE)
 DRAGGED = ControlModel.of(VEHICLE, None, drag_model(), EFFECTS)
 WEIGHT_N = NOMINAL.weight_n
+_ZERO = (0.0, 0.0, 0.0)
 
 
 @functools.cache
@@ -142,7 +143,7 @@ def test_command_later_than_the_horizon_is_refused() -> None:
 def test_refused_steps_continue_the_last_plan_until_it_ends() -> None:
     controller = _controller("mpc")
     assert _first_step(controller).status is SolveStatus.SOLVED
-    broken = StateEstimate(25_000, (math.nan, 0.0, 0.0), (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.0,) * 3)
+    broken = StateEstimate(25_000, (math.nan, 0.0, 0.0), _ZERO, (1.0, 0.0, 0.0, 0.0), _ZERO)
     stages = controller.settings.stages
     steps = [controller.step(broken, (), DELAY_US + k * controller.period_us) for k in range(stages + 1)]
     assert {step.status for step in steps} == {SolveStatus.INFEASIBLE}
