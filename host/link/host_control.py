@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from enum import StrEnum
 
 from trimtab.host.base.errors import UsageError
@@ -20,8 +21,8 @@ class HostControl:
     ----------
     controller
         The controller. Its commands are body rates and collective thrust.
-    name, settings_id
-        Name of the controller and id of its settings, for the log.
+    name, settings_id, model_id
+        Name of the controller, id of its settings and of its model of the residual, for the log.
     computing_us
         Declared computing time. A command is sent this long after the step that computes it, never earlier.
     """
@@ -29,6 +30,7 @@ class HostControl:
     controller: Controller
     name: str
     settings_id: str
+    model_id: str | None = None
     computing_us: int = COMPUTING_US
 
     def __post_init__(self) -> None:
@@ -38,6 +40,17 @@ class HostControl:
                 f"{self.name}: the computing time of {self.computing_us} us is not within the period of "
                 f"{period_us} us; declare a time that fits, or lengthen the period"
             )
+
+
+@dataclass(frozen=True, kw_only=True)
+class FlownBy:
+    """What flies a reference: `control` on the host, or the law on board with these `parameters`.
+
+    `parameters` holds only values that differ from the vehicle file's.
+    """
+
+    control: HostControl | None = None
+    parameters: Mapping[str, float] = field(default_factory=dict)
 
 
 class ControlStop(StrEnum):

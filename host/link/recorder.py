@@ -145,6 +145,8 @@ class Recorder:
             "computing_us": str(control.computing_us),
             "reference_start_us": str(start_us),
         }
+        if control.model_id is not None:
+            entries["model_id"] = control.model_id
         self._log.add_metadata(HOST_CONTROL, entries)
         self.record_text(f"controller {control.name} takes over", now_us)
 

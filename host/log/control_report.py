@@ -24,6 +24,7 @@ def control_report(flight: Flight) -> dict[str, Any] | None:
     return {
         "controller": steps.controller,
         "settings_id": steps.settings_id,
+        "model_id": steps.model_id,
         "period_ms": 1e-3 * steps.period_us,
         "computing_ms": 1e-3 * steps.computing_us,
         "steps": len(steps),

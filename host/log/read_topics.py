@@ -223,6 +223,7 @@ def read_host_control(
         computing_us=int(record["computing_us"]),
         controller=record["controller"],
         settings_id=record["settings_id"],
+        model_id=record.get("model_id"),
     )
 
 

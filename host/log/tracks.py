@@ -203,6 +203,7 @@ class HostControl(_Track):
     computing_us: int
     controller: str
     settings_id: str
+    model_id: str | None
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

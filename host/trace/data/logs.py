@@ -125,10 +125,10 @@ def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
 
 
-def _host(flight: Flight) -> tuple[str, str] | None:
-    """Return name and settings of the controller on the host that flew, None if none did."""
+def _host(flight: Flight) -> tuple[str, str, str | None] | None:
+    """Return name, settings and model of the controller on the host that flew, None if none did."""
     control = flight.host_control
-    return None if control is None else (control.controller, control.settings_id)
+    return None if control is None else (control.controller, control.settings_id, control.model_id)
 
 
 def strata_of(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
