@@ -182,6 +182,34 @@ def test_command_never_acts_before_the_computing_time_has_passed(
         assert np.percentile(delay_us, 99) <= 1_500
 
 
+def test_law_uses_a_command_in_the_tick_in_which_it_arrives(
+    fly: Fly, simulate: Simulate, vehicle: Vehicle, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    take, tick = Firmware.setpoint, Firmware.tick
+    newest: list[tuple[int, AttitudeTarget]] = []
+    checked: list[int] = []
+
+    def setpoint(firmware: Firmware, target: Target, now_us: int) -> None:
+        if isinstance(target, AttitudeTarget):
+            newest[:] = [(now_us, target)]
+        take(firmware, target, now_us)
+
+    def ticked(firmware: Firmware, now_us: int, *samples: Any) -> None:
+        tick(firmware, now_us, *samples)
+        if newest and newest[0][0] == now_us and firmware.state == OFFBOARD:
+            target = newest[0][1]
+            if max(map(abs, target.rate)) < 3.0:  # within every limit of the vehicle
+                checked.append(now_us)
+                assert firmware.outputs["rate_cmd"].tolist() == list(target.rate)
+                collective_n = 4.0 * firmware.parameters["THRUST_MAX"] * target.thrust
+                assert firmware.outputs["collective_n"][0] == collective_n
+
+    monkeypatch.setattr(Firmware, "setpoint", setpoint)
+    monkeypatch.setattr(Firmware, "tick", ticked)
+    fly(simulate(world="wired"), control=by_host(vehicle))
+    assert len(checked) > 250
+
+
 def test_wired_host_has_no_radio_and_hardly_any_delay(fly: Fly, simulate: Simulate, vehicle: Vehicle) -> None:
     simulated = simulate(world="wired")
     result = fly(simulated, control=by_host(vehicle, computing_us=0))
