@@ -2,17 +2,14 @@
 
 from __future__ import annotations
 
-import math
-from collections.abc import Sequence
 from dataclasses import replace
 from enum import IntEnum
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.law import feedforward as law
 from trimtab.firmware_model.law.checks import check_reference
-from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.feedforward import OPEN_REGION
+from trimtab.firmware_model.law.feedforward_range import out_of_range
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason
-from trimtab.firmware_model.law.rotations import euler_to_matrix
 from trimtab.protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Reference, from_bytes
 from trimtab.protocol.upload import Verdict
 
@@ -28,31 +25,10 @@ class Reason(IntEnum):
     TOO_LATE = 105
 
 
-GAIN_RANGE = (0.3, 3.0)
-"""Bounds of the gain (actual over nominal thrust) of a feed-forward."""
-BIAS_MAX = 5.0
-"""Greatest bias, m/s^2."""
-DRAG_MAX = 5.0
-"""Greatest linear (1/s) and quadratic (1/m) drag coefficient."""
-OFFSET_MAX = 0.2
-"""Greatest attitude offset, rad."""
-PREDICTION_MAX_S = 0.1
-WIND_MAX = 15.0
-"""Greatest component of the wind, m/s."""
-EXPONENT_MAX = 5.0
-"""Greatest magnitude of the voltage exponent."""
-NETWORK_MAX = 5.0
-"""Greatest residual acceleration (m/s^2) of a network at the bounds of its region."""
-NETWORK_SPEED = 10.0
-"""Speed (m/s) up to which a network without a region is checked."""
-NETWORK_TILT = 1.0
-"""Tilt (rad) up to which a network without a region is checked."""
 BATTERY_RESERVE = 0.05
 """Share of the available thrust that a reference leaves for the controller and for further voltage sag."""
 BATTERY_LOW_CELL_V = 0.1
 """Least cell voltage above empty at which a reference is accepted."""
-
-_ZERO = (0.0, 0.0, 0.0)
 
 
 def check_blob(
@@ -120,64 +96,12 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
 
 
 def _check_feedforward(blob: FeedForward) -> Verdict:
-    for name, values, low, high in _block_ranges(blob.block or NEUTRAL_BLOCK):
-        for value in values:
-            if not low <= value <= high:
-                bound = low if value < low else high
-                return _refused(
-                    Reason.FEEDFORWARD_RANGE, f"{name} {value:.4g} beyond {bound:g}", value, bound
-                )
-    if blob.layers:
-        accel = _greatest_network_output(blob)
-        if not accel <= NETWORK_MAX:
-            text = f"network gives {accel:.4g} m/s^2, beyond {NETWORK_MAX:g}"
-            return _refused(Reason.FEEDFORWARD_RANGE, text, accel, NETWORK_MAX)
-    return Verdict(ok=True)
-
-
-def _block_ranges(block: Sequence[float]) -> tuple[tuple[str, Sequence[float], float, float], ...]:
-    """Return name, values, lower and upper bound of every field of the block."""
-    return (
-        ("gain", block[law.GAIN : law.GAIN + 1], *GAIN_RANGE),
-        ("bias", block[law.BIAS], -BIAS_MAX, BIAS_MAX),
-        ("drag", (*block[law.LINEAR], *block[law.QUADRATIC]), -DRAG_MAX, DRAG_MAX),
-        ("attitude offset", block[law.ATTITUDE_OFFSET], -OFFSET_MAX, OFFSET_MAX),
-        ("prediction time", block[law.PREDICTION_TIME : law.PREDICTION_TIME + 1], 0.0, PREDICTION_MAX_S),
-        ("wind", block[law.WIND], -WIND_MAX, WIND_MAX),
-        (
-            "voltage exponent",
-            block[law.VOLTAGE_EXPONENT : law.VOLTAGE_EXPONENT + 1],
-            -EXPONENT_MAX,
-            EXPONENT_MAX,
-        ),
-    )
-
-
-def _greatest_network_output(blob: FeedForward) -> float:
-    """Return the greatest residual acceleration (m/s^2) of the network at rest and at its region's bounds.
-
-    The samples are rest and the greatest speed in ten directions, level and at the greatest roll and pitch,
-    at four headings.
-    """
-    speed, tilt = (NETWORK_SPEED, NETWORK_TILT) if blob.region is None else blob.region[:2]
-    diagonal = math.sqrt(0.5)
-    directions = [(0.0, 0.0, 0.0), (0.0, 0.0, 1.0), (0.0, 0.0, -1.0)]
-    for n, e in ((1.0, 0.0), (0.0, 1.0), (-1.0, 0.0), (0.0, -1.0)):
-        directions += [(n, e, 0.0), (diagonal * (n - e), diagonal * (n + e), 0.0)]
-    attitudes = [(0.0, 0.0), (tilt, 0.0), (-tilt, 0.0), (0.0, tilt), (0.0, -tilt)]
-    yaws = (0.0,) if blob.frame == "body" else (0.0, 0.5 * math.pi, math.pi, -0.5 * math.pi)
-    greatest = 0.0
-    for direction in directions:
-        for roll, pitch in attitudes:
-            for yaw in yaws:
-                R = euler_to_matrix(FLOAT, (roll, pitch, yaw))
-                v = tuple(speed * part for part in direction)
-                motion = law.FlatMotion(v, _ZERO, R, _ZERO)
-                residual = law.network_residual(
-                    FLOAT, blob.weights, blob.layers, motion, body_frame=blob.frame == "body"
-                )
-                greatest = max(greatest, math.hypot(*residual.accel_ned))
-    return greatest
+    block = (*(blob.block or NEUTRAL_BLOCK), *(blob.region or OPEN_REGION))
+    excess = out_of_range(block, blob.weights, blob.layers, body_frame=blob.frame == "body")
+    if excess is None:
+        return Verdict(ok=True)
+    text = f"{excess.quantity} {excess.value:.4g} beyond {excess.bound:g}"
+    return _refused(Reason.FEEDFORWARD_RANGE, text, excess.value, excess.bound)
 
 
 def _refused(
