@@ -15,7 +15,7 @@ from trimtab.firmware_model.law.rotations import quat_from_euler
 from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.control.dynamics import COLLECTIVE, DISTURBANCE, STATES, ControlModel
-from trimtab.host.control.interface import Controller, ControlStep, RateCommand, StateEstimate
+from trimtab.host.control.interface import Controller, ControlStep, RateCommand, StateEstimate, Triple
 from trimtab.host.control.sweeps import sweeps
 from trimtab.host.models.airframe import RATE, THETA, P, V
 from trimtab.host.models.reference import flat_outputs
@@ -41,7 +41,7 @@ class ControlledFlight:
 class Plant:
     """The model of a vehicle, with a constant disturbance (m/s^2, NED), integrated by short steps."""
 
-    def __init__(self, model: ControlModel, disturbance_ned: tuple[float, float, float] = (0.0,) * 3) -> None:
+    def __init__(self, model: ControlModel, disturbance_ned: Triple = (0.0, 0.0, 0.0)) -> None:
         self.weight_n = model.weight_n
         self._call = Buffered(compile_function(sweeps(model, 1).advance)[0])
         inputs = self._call.inputs

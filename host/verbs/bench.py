@@ -171,8 +171,9 @@ def _control_lines(result: dict[str, Any]) -> list[str]:
     return [
         f"{result['controller']}, network {' x '.join(map(str, result['hidden']))}, processor time of "
         f"{result['steps']} steps:",
-        f"  median, 99th percentile  {result['mpc_step_ms_p50']:8.2f} ms, {result['mpc_step_ms_p99']:.2f} ms; "
-        f"{result['budget_spent']} steps spent their budget",
+        f"  median                   {result['mpc_step_ms_p50']:8.2f} ms",
+        f"  99th percentile          {result['mpc_step_ms_p99']:8.2f} ms, {result['budget_spent']} steps "
+        "spent their budget",
         f"  CasADi and Ipopt         {naive['ms']:8.2f} ms a problem, median of {naive['problems']}: "
         f"{naive['over_ours']:.0f} times ours",
     ]

@@ -32,6 +32,7 @@ Array = NDArray[np.float64]
 
 CONTROLLER = "mpc-neural"
 _HIDDEN = (32, 32, 32)
+_FIT_ITERATIONS = 60
 _SIGMA = {"p_ned": 1e-3, "v_ned": 0.02, "rate_frd": 0.02}
 """Noise of the estimates: m, m/s, rad/s."""
 _TURN_SIGMA = 0.005
@@ -66,7 +67,7 @@ def measure(
     size = size or Size()
     settings = load_controller(CONTROLLER)
     assert isinstance(settings, MpcSettings)
-    network = drag_model(vehicle, seed, hidden=_HIDDEN)[0].network
+    network = drag_model(vehicle, seed, hidden=_HIDDEN, iterations=_FIT_ITERATIONS)[0].network
     model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, network=network)
     of_plant = ControlModel.of(vehicle, settings.rate_lag_s, model)
     timed = _Timed(Mpc(settings, vehicle, model=model), np.random.default_rng([seed, 1]))
@@ -103,14 +104,13 @@ def measure(
 def _beside(model: ControlModel, settings: MpcSettings, reference: Reference, count: int) -> dict[str, Any]:
     """Return the times of both solvers on consecutive problems of one flight, and their difference."""
     cost = cost_parameters(settings, model)
-    ours, naive = (
-        kind(model, stages=settings.stages, step_s=settings.step_s, cost=cost)
-        for kind in (TrackingSolver, NaiveMpc)
-    )
+    stages, step_s = settings.stages, settings.step_s
+    ours = TrackingSolver(model, stages=stages, step_s=step_s, cost=cost)
+    naive = NaiveMpc(model, stages=stages, step_s=step_s, cost=cost)
     nominal = settings.model_copy(update={"residual": "none"})
     flight = fly(Mpc(nominal, model.vehicle), Plant(model), reference)
     low, high = model.input_bounds()
-    horizon_s = settings.step_s * np.arange(settings.stages + 1)
+    horizon_s = step_s * np.arange(stages + 1)
     times: list[tuple[float, float]] = []
     differs, failed, start = 0.0, 0, None
     for x0, t_s in zip(flight.x[:count], flight.t_s[:count], strict=True):
