@@ -67,7 +67,7 @@ def test_adaptive_controller_has_no_offset_in_constant_wind_and_nominal_has() ->
     wind = (0.8, -0.5, 0.3)
     at_rest = {}
     for name in ("mpc", "mpc-l1"):
-        flown = fly(_controller(name), Plant(NOMINAL, wind), reference("hover"), hold_us=4_000_000)
+        flown = fly(_controller(name), Plant(NOMINAL, wind), reference("hover"), hold_us=6_000_000)
         at_rest[name] = flown.error_m[-1]
     assert at_rest["mpc"] > 0.01
     assert at_rest["mpc-l1"] < 1e-5
