@@ -44,6 +44,11 @@ VERBS = (
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
     Verb(name="learn", module="learn", help="Learn effects and a residual network from flight logs."),
     Verb(name="trace", module="trace", help="Name the effects that a model lacks, from flight logs."),
+    Verb(
+        name="correct",
+        module="correct",
+        help="Make a feed-forward that compensates a model's effects and network on board.",
+    ),
     Verb(name="import", module="import_", help="Convert a foreign flight log to a Trimtab log."),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 import operator
 import struct
@@ -11,6 +12,7 @@ from typing import NamedTuple
 
 MAGIC = b"TRTB"
 VERSION = 1
+"""Version of references, and first version of feed-forwards."""
 T_US_MAX = 0xFFFF_FFFF
 _HEADER = struct.Struct("<4sBBH6s3dII")
 HEADER_BYTES = _HEADER.size
@@ -31,8 +33,9 @@ class BlobError(ValueError):
 
 
 class Header(NamedTuple):
-    """Header of a blob without magic, kind and version. first, second: the two counts."""
+    """Header of a blob without magic and kind. first, second: the two counts."""
 
+    version: int
     flags: int
     vehicle_id: str
     origin: tuple[float, float, float]
@@ -41,23 +44,34 @@ class Header(NamedTuple):
 
 
 def pack_header(
-    kind: Kind, flags: int, vehicle_id: str, origin: tuple[float, float, float], counts: tuple[int, int]
+    kind: Kind,
+    flags: int,
+    vehicle_id: str,
+    origin: tuple[float, float, float],
+    counts: tuple[int, int],
+    *,
+    version: int = VERSION,
 ) -> bytes:
     """Return the header's bytes."""
-    return _HEADER.pack(MAGIC, kind, VERSION, flags, bytes.fromhex(vehicle_id), *origin, *counts)
+    return _HEADER.pack(MAGIC, kind, version, flags, bytes.fromhex(vehicle_id), *origin, *counts)
 
 
-def unpack_header(data: bytes, kind: Kind) -> Header:
-    """Return the header of a blob of this kind. Raises BlobError if the header is invalid."""
+def unpack_header(data: bytes, kind: Kind, *, versions: Sequence[int] = (VERSION,)) -> Header:
+    """Return the header of a blob of this kind and of one of these versions. Raises BlobError if invalid."""
     stated = kind_of(data)
     if stated is not kind:
         raise BlobError(f"kind: {stated} ({stated.name.lower()}) is not {int(kind)} ({kind.name.lower()})")
     if len(data) < HEADER_BYTES:
         raise BlobError(f"length: {len(data)} bytes are shorter than a header of {HEADER_BYTES}")
     _, _, version, flags, vehicle, n, e, d, first, second = _HEADER.unpack_from(data)
-    if version != VERSION:
-        raise BlobError(f"version: {version} is not {VERSION}")
-    return Header(flags, vehicle.hex(), (n, e, d), first, second)
+    if version not in versions:
+        raise BlobError(f"version: {version} is not {' or '.join(map(str, versions))}")
+    return Header(version, flags, vehicle.hex(), (n, e, d), first, second)
+
+
+def blob_id(data: bytes) -> str:
+    """Return the first 12 hex digits of the SHA-256 of `data`."""
+    return hashlib.sha256(data).hexdigest()[:12]
 
 
 def check_length(data: bytes, expected: int) -> None:

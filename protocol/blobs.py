@@ -9,9 +9,7 @@ A reference continues with its nodes and its yaw nodes. The first count is the n
 number of yaw nodes. A node has 52 B: t_us u32 and p, v, a, j (3 float32 each, NED, p relative to the origin).
 A yaw node has 12 B: t_us u32, yaw and yaw rate (float32).
 
-A feed-forward continues with the model id (6 B), the number of hidden layers u8 and their widths (u8 each).
-float32 numbers follow: the first count is the number of values of form (a), a block of coefficients; the
-second, of form (b), a network. The flags name the forms.
+`trimtab.protocol.feedforward_blob` describes what follows in a feed-forward.
 
 The id of a blob is the first 12 hex digits of the SHA-256 of its bytes. Objects round their values to float32
 when they are built, so the host holds exactly what the vehicle flies.
@@ -19,18 +17,16 @@ when they are built, so the host holds exactly what the vehicle flies.
 
 from __future__ import annotations
 
-import hashlib
 import struct
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import ClassVar, NamedTuple
 
 from trimtab.protocol.blob_fields import (
     HEADER_BYTES,
-    ORIGIN_BYTES,
     VERSION,
     BlobError,
     Kind,
+    blob_id,
     check_id,
     check_increasing,
     check_length,
@@ -41,6 +37,36 @@ from trimtab.protocol.blob_fields import (
     unpack_header,
     whole_time,
 )
+from trimtab.protocol.feedforward_blob import (
+    BLOCK_FIELDS,
+    BLOCK_SIZE,
+    HIDDEN_MAX,
+    NEUTRAL_BLOCK,
+    WIDTH_MAX,
+    FeedForward,
+    TrainedRegion,
+)
+
+__all__ = [
+    "BLOB_BYTES_MAX",
+    "BLOCK_FIELDS",
+    "BLOCK_SIZE",
+    "HIDDEN_MAX",
+    "NEUTRAL_BLOCK",
+    "NODE_BYTES",
+    "WIDTH_MAX",
+    "YAW_BYTES",
+    "Blob",
+    "BlobError",
+    "FeedForward",
+    "Kind",
+    "Node",
+    "Reference",
+    "TrainedRegion",
+    "YawNode",
+    "blob_id",
+    "from_bytes",
+]
 
 BLOB_BYTES_MAX = 256 * 1024
 """Longest blob that a vehicle stores: a reference of 5040 nodes without yaw nodes."""
@@ -67,25 +93,6 @@ _NODE_FIELDS = tuple(f"{name}_{axis}" for name in "pvaj" for axis in "ned")
 
 NODE_BYTES = _NODE.size
 YAW_BYTES = _YAW.size
-
-BLOCK_FIELDS: tuple[tuple[str, int], ...] = (
-    ("gain", 1),
-    ("bias_ned", 3),
-    ("linear_drag", 3),
-    ("quadratic_drag", 3),
-    ("attitude_offset", 2),
-    ("prediction_time_s", 1),
-)
-"""Names and sizes of the fields of form (a), in order."""
-
-BLOCK_SIZE = sum(size for _, size in BLOCK_FIELDS)
-NEUTRAL_BLOCK: tuple[float, ...] = (1.0, *(0.0 for _ in range(BLOCK_SIZE - 1)))
-"""Block of form (a) that has no effect."""
-
-NETWORK_INPUTS = 6
-NETWORK_OUTPUTS = 3
-HIDDEN_MAX = 3
-WIDTH_MAX = 32
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -184,116 +191,9 @@ class Reference:
         return self.yaws or (YawNode(0, 0.0, 0.0),)
 
 
-@dataclass(frozen=True, kw_only=True)
-class FeedForward:
-    """A correction of the control law: form (a), a block of numbers; form (b), a network; or both.
-
-    Fields:
-        vehicle_id, model_id: 12 hex digits each.
-        block: form (a), BLOCK_SIZE numbers in the order of BLOCK_FIELDS, or None.
-        layers: form (b), widths of the hidden layers: at most 3 layers of at most 32 neurons; empty without a
-            network.
-        weights: weights by layer, the output layer last; for each neuron its input weights, then its bias.
-
-    Raises BlobError that names the invalid field.
-    """
-
-    KIND: ClassVar[Kind] = Kind.FEEDFORWARD
-    _BLOCK: ClassVar[int] = 1
-    _NETWORK: ClassVar[int] = 2
-
-    vehicle_id: str
-    model_id: str
-    block: tuple[float, ...] | None = None
-    layers: tuple[int, ...] = ()
-    weights: tuple[float, ...] = ()
-
-    def __post_init__(self) -> None:
-        check_id("vehicle_id", self.vehicle_id)
-        check_id("model_id", self.model_id)
-        object.__setattr__(self, "layers", tuple(self.layers))
-        if self.block is not None:
-            object.__setattr__(self, "block", float32s("block", self.block, _block_names()))
-            gain, prediction_time_s = self.block[0], self.block[-1]
-            if not gain > 0.0:
-                raise BlobError(f"block.gain: must be positive, not {gain:g}")
-            if not prediction_time_s >= 0.0:
-                raise BlobError(f"block.prediction_time_s: must not be negative, not {prediction_time_s:g}")
-        elif not self.layers:
-            raise BlobError("block: a feed-forward needs a block, a network or both")
-        expected = _weight_count(self.layers)
-        if len(self.weights) != expected:
-            raise BlobError(f"weights: layers {list(self.layers)} need {expected}, not {len(self.weights)}")
-        names = tuple(map(str, range(expected)))
-        object.__setattr__(self, "weights", float32s("weights", self.weights, names))
-
-    def to_bytes(self) -> bytes:
-        """Return the blob."""
-        block = self.block or ()
-        flags = (self._BLOCK if block else 0) | (self._NETWORK if self.layers else 0)
-        counts = (len(block), len(self.weights))
-        head = pack_header(self.KIND, flags, self.vehicle_id, (0.0, 0.0, 0.0), counts)
-        sizes = bytes([len(self.layers), *self.layers])
-        numbers = struct.pack(f"<{len(block) + len(self.weights)}f", *block, *self.weights)
-        return head + bytes.fromhex(self.model_id) + sizes + numbers
-
-    @classmethod
-    def from_bytes(cls, data: bytes) -> FeedForward:
-        """Return the feed-forward in `data`.
-
-        Raises BlobError that names the invalid field, and no other exception.
-        """
-        head = unpack_header(data, cls.KIND)
-        if head.flags & ~(cls._BLOCK | cls._NETWORK):
-            raise BlobError(f"flags: {head.flags:#06x} has bits unknown to version {VERSION}")
-        if any(data[ORIGIN_BYTES]):  # -0.0 is refused too: the same content would have two ids
-            raise BlobError("origin: must be 0 in a feed-forward")
-        sizes_at = HEADER_BYTES + 6
-        if len(data) <= sizes_at:
-            raise BlobError(f"length: {len(data)} bytes end before the layers")
-        numbers_at = sizes_at + 1 + data[sizes_at]
-        check_length(data, numbers_at + 4 * (head.first + head.second))
-        layers = tuple(data[sizes_at + 1 : numbers_at])
-        for bit, count, name in ((cls._BLOCK, head.first, "block"), (cls._NETWORK, len(layers), "layers")):
-            if bool(head.flags & bit) != bool(count):
-                raise BlobError(f"flags: {head.flags:#06x} does not go with {count} {name}")
-        numbers = struct.unpack(f"<{head.first + head.second}f", data[numbers_at:])
-        return cls(
-            vehicle_id=head.vehicle_id,
-            model_id=data[HEADER_BYTES:sizes_at].hex(),
-            block=numbers[: head.first] if head.first else None,
-            layers=layers,
-            weights=numbers[head.first :],
-        )
-
-    @property
-    def id(self) -> str:
-        """First 12 hex digits of the SHA-256 of the blob's bytes."""
-        return blob_id(self.to_bytes())
-
-
 Blob = Reference | FeedForward
 
 
 def from_bytes(data: bytes) -> Blob:
     """Return the blob in `data`, of the kind that its header states. Raises BlobError if it is invalid."""
     return FeedForward.from_bytes(data) if kind_of(data) is Kind.FEEDFORWARD else Reference.from_bytes(data)
-
-
-def blob_id(data: bytes) -> str:
-    """Return the first 12 hex digits of the SHA-256 of `data`."""
-    return hashlib.sha256(data).hexdigest()[:12]
-
-
-def _block_names() -> tuple[str, ...]:
-    return tuple(name if size == 1 else f"{name}[{i}]" for name, size in BLOCK_FIELDS for i in range(size))
-
-
-def _weight_count(layers: tuple[int, ...]) -> int:
-    """Return the number of weights of a network with these hidden widths. Raises BlobError if invalid."""
-    if not layers:
-        return 0
-    if len(layers) > HIDDEN_MAX or not all(isinstance(n, int) and 1 <= n <= WIDTH_MAX for n in layers):
-        raise BlobError(f"layers: {list(layers)} must be 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX}")
-    sizes = (NETWORK_INPUTS, *layers, NETWORK_OUTPUTS)
-    return sum((inputs + 1) * outputs for inputs, outputs in pairwise(sizes))

@@ -95,7 +95,7 @@ class Flight:
         self._law_parameters = inputs["parameters"]
         self._saturated, self._cos_tilt = self.outputs["saturated"], self.outputs["cos_tilt"]
         self._takeoff_end = Event.START_REACHED
-        self.feedforward = FeedForwardInput(inputs["feedforward"], inputs["ff_accel_ned"])
+        self.feedforward = FeedForwardInput(inputs, self.outputs)
         self._phases = Phases(
             inputs,
             self.outputs,
@@ -229,8 +229,8 @@ class Flight:
     def update(self, now_us: int, battery_v: float) -> None:
         """Check readiness, failsafes and touchdown; called every UPDATE_TICKS, after the tick."""
         state = self.state
-        if self._flying:
-            self.feedforward.update(self.outputs["reference"])
+        if self._flying and self.feedforward.update(battery_v / self.parameters["BAT_FULL_V"]):
+            self._report(_WARNING, "feed-forward fades: beyond its region")
         if state is State.BOOT:
             if now_us >= BOOT_US:
                 self.handle_event(Event.BOOTED, now_us)

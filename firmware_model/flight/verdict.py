@@ -7,8 +7,10 @@ from enum import IntEnum
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.feedforward import OPEN_REGION
+from trimtab.firmware_model.law.feedforward_range import out_of_range
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason
-from trimtab.protocol.blobs import BlobError, FeedForward, Reference, from_bytes
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Reference, from_bytes
 from trimtab.protocol.upload import Verdict
 
 
@@ -23,15 +25,6 @@ class Reason(IntEnum):
     TOO_LATE = 105
 
 
-GAIN_RANGE = (0.3, 3.0)
-"""Bounds of the gain (actual over nominal thrust) of a feed-forward."""
-BIAS_MAX = 5.0
-"""Greatest bias, m/s^2."""
-DRAG_MAX = 5.0
-"""Greatest linear (1/s) and quadratic (1/m) drag coefficient."""
-OFFSET_MAX = 0.2
-"""Greatest attitude offset, rad."""
-PREDICTION_MAX_S = 0.1
 BATTERY_RESERVE = 0.05
 """Share of the available thrust that a reference leaves for the controller and for further voltage sag."""
 BATTERY_LOW_CELL_V = 0.1
@@ -103,23 +96,12 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
 
 
 def _check_feedforward(blob: FeedForward) -> Verdict:
-    if blob.block is None:
+    block = (*(blob.block or NEUTRAL_BLOCK), *(blob.region or OPEN_REGION))
+    excess = out_of_range(block, blob.weights, blob.layers, body_frame=blob.frame == "body")
+    if excess is None:
         return Verdict(ok=True)
-    gain, *numbers = blob.block
-    if not GAIN_RANGE[0] <= gain <= GAIN_RANGE[1]:
-        bound = GAIN_RANGE[0] if gain < GAIN_RANGE[0] else GAIN_RANGE[1]
-        return _refused(Reason.FEEDFORWARD_RANGE, f"gain {gain:.4g} beyond {bound:g}", gain, bound)
-    bias, drag, offset, prediction_s = numbers[0:3], numbers[3:9], numbers[9:11], numbers[11:12]
-    for name, values, bound in (
-        ("bias", bias, BIAS_MAX),
-        ("drag", drag, DRAG_MAX),
-        ("attitude offset", offset, OFFSET_MAX),
-        ("prediction time", prediction_s, PREDICTION_MAX_S),
-    ):
-        worst = max(values, key=abs)
-        if not abs(worst) <= bound:
-            return _refused(Reason.FEEDFORWARD_RANGE, f"{name} {worst:.4g} beyond {bound:g}", worst, bound)
-    return Verdict(ok=True)
+    text = f"{excess.quantity} {excess.value:.4g} beyond {excess.bound:g}"
+    return _refused(Reason.FEEDFORWARD_RANGE, text, excess.value, excess.bound)
 
 
 def _refused(

@@ -1,11 +1,13 @@
 """The disturbance observer: estimates the acceleration that gravity and nominal thrust do not explain.
 
-    d_hat' = L (v' - g e3 + R e3 T/m - d_hat),     T' = (T_cmd - T) / tau
+    d_hat' = L (v' - g e3 + R z_T T/m - d_ff - d_hat),     T' = (T_cmd - T) / tau
 
-v is the estimated velocity, R e3 the body z axis of the estimated attitude, and T the commanded collective
-thrust after the nominal rotor lag. d_hat therefore follows d in v' = g e3 - R e3 T/m + d as a first-order lag
-with bandwidth L. Over a tick v' is the change of velocity. (Guo and Cao, Anti-Disturbance Control, 2014; the
-baseline DO of paper section V-B.)
+v is the estimated velocity, R the estimated attitude, and T the commanded collective thrust after the nominal
+rotor lag. z_T is opposite to the thrust in the frame of the poses: e3 without an attitude offset in the
+feed-forward. d_ff is the residual acceleration that the feed-forward predicts. d_hat therefore follows the
+remainder d - d_ff in v' = g e3 - R z_T T/m + d as a first-order lag with bandwidth L. Over a tick v' is the
+change of velocity. (Guo and Cao, Anti-Disturbance Control, 2014; DO and Neural DO of paper sections V-B and
+VI-D.)
 
 The observer uses the estimated velocity instead of the accelerometer. Between poses this velocity is the
 integral of the accelerometer, so no noisy signal is differentiated; over longer times the camera determines
@@ -25,13 +27,28 @@ DISTURBANCE_MAX = 5.0
 """Greatest magnitude of d_hat, m/s^2. A greater d_hat is scaled down."""
 
 
-def measured_disturbance(v_dot: Vector, R: Vector, thrust_n: Scalar, mass_kg: Scalar) -> list[Scalar]:
-    """Return the acceleration beyond gravity and nominal thrust (m/s^2, NED), which d_hat follows.
+def measured_disturbance(
+    v_dot: Vector,
+    R: Vector,
+    thrust_n: Scalar,
+    mass_kg: Scalar,
+    predicted: Vector = (0.0, 0.0, 0.0),
+    attitude_offset: Vector = (0.0, 0.0),
+) -> list[Scalar]:
+    """Return the acceleration beyond gravity, nominal thrust and `predicted` (m/s^2, NED).
 
-    v_dot: derivative of the estimated velocity (m/s^2, NED). R: estimated R_ned_frd, 9 scalars.
+    v_dot: derivative of the estimated velocity (m/s^2, NED). R: estimated R_ned_frd, 9 scalars. predicted:
+    residual acceleration that the feed-forward compensates (m/s^2, NED). attitude_offset: roll and pitch
+    (rad) that the poses show when thrust points exactly as intended; to first order.
     """
     up = thrust_n / mass_kg
-    return [v_dot[0] + R[2] * up, v_dot[1] + R[5] * up, v_dot[2] + R[8] * up - GRAVITY]
+    roll, pitch = attitude_offset
+    z = [R[3 * i + 2] - pitch * R[3 * i] + roll * R[3 * i + 1] for i in range(3)]
+    return [
+        v_dot[0] + z[0] * up - predicted[0],
+        v_dot[1] + z[1] * up - predicted[1],
+        v_dot[2] + z[2] * up - GRAVITY - predicted[2],
+    ]
 
 
 def observe(ops: Ops, gain: Scalar, d_hat: Vector, measured: Vector, dt: Scalar) -> list[Scalar]:

@@ -117,6 +117,7 @@ INPUTS: tuple[Block, ...] = (
     Block(name="offboard", size=OFFBOARD_SIZE),
     Block(name="feedforward", size=feedforward.FF_SIZE),
     Block(name="ff_accel_ned", size=3),
+    Block(name="ff_jerk_ned", size=3),
     Block(name="parameters", size=len(PARAMETERS)),
 )
 OUTPUTS: tuple[Block, ...] = (
@@ -128,6 +129,7 @@ OUTPUTS: tuple[Block, ...] = (
     Block(name="saturated", size=1),
     Block(name="reference", size=14),
     Block(name="cos_tilt", size=1),
+    Block(name="ff_weight", size=1),
 )
 
 
@@ -204,13 +206,31 @@ def motors(
     return [thrust_to_command(ops, t, thrust_max, c1, c2) for t in thrust], list(thrust), saturated
 
 
-def feedforward_terms(ops: Ops, block: Vector, ref: FlatState, ff_accel_ned: Vector) -> tuple[Vector, Vector]:
-    """Return the residual acceleration along the reference (block plus network) and its derivative, NED."""
-    R_flat, _ = flat_attitude(ops, ref.a, ref.yaw)
+def flat_motion(ops: Ops, ref: FlatState) -> tuple[feedforward.FlatMotion, Scalar]:
+    """Return the motion along the reference, and its specific thrust (m/s^2)."""
+    R_flat, thrust = flat_attitude(ops, ref.a, ref.yaw)
     rate = flat_rates(ops, ref.a, ref.j, ref.yaw, ref.yaw_rate)
-    accel = feedforward.specific_force_ned(ops, block, ref.v, R_flat)
-    jerk = feedforward.specific_force_rate_ned(ops, block, ref.v, ref.a, rate, R_flat)
-    return [a + b for a, b in zip(accel, ff_accel_ned, strict=True)], jerk
+    return feedforward.FlatMotion(ref.v, ref.a, R_flat, rate), thrust
+
+
+def feedforward_terms(
+    ops: Ops, block: Vector, ref: FlatState, network: feedforward.Residual
+) -> tuple[Vector, Vector, Scalar]:
+    """Return the residual acceleration along the reference, its derivative (NED), and its weight.
+
+    The acceleration is the sum of block and network times the weight that fades it out beyond the region. The
+    derivative leaves out that of the weight.
+    """
+    motion, thrust = flat_motion(ops, ref)
+    v, a, R_flat, rate = motion
+    weight = feedforward.fade_weight(ops, block[feedforward.REGION], v, R_flat, thrust)
+    accel = feedforward.specific_force_ned(ops, block, v, R_flat)
+    jerk = feedforward.specific_force_rate_ned(ops, block, v, a, rate, R_flat)
+    return (
+        [weight * (x + y) for x, y in zip(accel, network.accel_ned, strict=True)],
+        [weight * (x + y) for x, y in zip(jerk, network.jerk_ned, strict=True)],
+        weight,
+    )
 
 
 def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
@@ -222,14 +242,15 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
     memory, parameters, block = inputs["memory"], inputs["parameters"], inputs["feedforward"]
     gyro, force = inputs["gyro"], inputs["specific_force"]
     est, R, rate = _estimate(ops, inputs)
-    d_hat = _disturbance(ops, inputs, est, R)
 
     # Reference, and the residual acceleration along it.
     piece, yaw_piece = inputs["piece"], inputs["yaw_piece"]
     p_r, v_r, a_r, j_r, _ = septic_at(piece[1:], piece[0])
     yaw, yaw_rate = cubic_at(yaw_piece[1:], yaw_piece[0])
     ref = FlatState(p_r, v_r, a_r, j_r, yaw, yaw_rate)
-    ff_accel, ff_jerk = feedforward_terms(ops, block, ref, inputs["ff_accel_ned"])
+    network = feedforward.Residual(inputs["ff_accel_ned"], inputs["ff_jerk_ned"])
+    ff_accel, ff_jerk, ff_weight = feedforward_terms(ops, block, ref, network)
+    d_hat = _disturbance(ops, inputs, est, R, ff_accel)
     ff_accel = [a + d for a, d in zip(ff_accel, d_hat, strict=True)]
 
     # Controller.
@@ -277,6 +298,7 @@ def step(ops: Ops, inputs: Mapping[str, Vector]) -> dict[str, Vector]:
         "saturated": [saturated],
         "reference": [*p_r, *v_r, *a_r, *j_r, yaw, yaw_rate],
         "cos_tilt": [R[8]],
+        "ff_weight": [ff_weight],
     }
 
 
@@ -296,12 +318,16 @@ def _estimate(ops: Ops, inputs: Mapping[str, Vector]) -> tuple[Estimate, Vector,
     return est, R, [g - b for g, b in zip(gyro, est.bias, strict=True)]
 
 
-def _disturbance(ops: Ops, inputs: Mapping[str, Vector], est: Estimate, R: Vector) -> Vector:
-    """Return the observer's estimate of the disturbance acceleration (m/s^2, NED)."""
+def _disturbance(
+    ops: Ops, inputs: Mapping[str, Vector], est: Estimate, R: Vector, predicted: Vector
+) -> Vector:
+    """Return the observer's estimate of the disturbance acceleration beyond `predicted` (m/s^2, NED)."""
     memory, parameters = inputs["memory"], inputs["parameters"]
     obs_gain, _ = observer(parameters)
     v_dot = [(now - before) / TICK_S for now, before in zip(est.v, memory[EST_V], strict=True)]
-    measured = measured_disturbance(v_dot, R, memory[OBSERVER_THRUST.start], parameters[0])
+    offset = inputs["feedforward"][feedforward.ATTITUDE_OFFSET]
+    thrust = memory[OBSERVER_THRUST.start]
+    measured = measured_disturbance(v_dot, R, thrust, parameters[0], predicted, offset)
     observing = ops.where(inputs["observing"][0] > 0.5, obs_gain, 0.0)
     return observe(ops, observing, memory[OBSERVER], measured, TICK_S)
 

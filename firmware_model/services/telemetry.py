@@ -137,6 +137,7 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         reference_id=board.reference_id,
         feedforward_id=board.feedforward_id,
         vehicle_id=board.vehicle_id,
+        feedforward_faded=math.ceil(100.0 * (1.0 - flight.feedforward.weight)),
     )
 
 

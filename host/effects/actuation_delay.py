@@ -40,6 +40,7 @@ EFFECT = Effect(
         model="the rotors follow delayed commands",
         planner="nothing: plans contain rotor thrusts, which have no delay",
         law=None,
+        no_law="the law cannot send a command before it knows it",
     ),
     command_delay_s=_delay,
 )

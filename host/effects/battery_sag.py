@@ -43,8 +43,7 @@ EFFECT = Effect(
     closing=Closing(
         model="the thrust of every rotor is multiplied by a power of the measured voltage ratio",
         planner="nothing: plans assume a full battery",
-        law="the commanded thrust is divided by the sag at the mean voltage of the flights used; the "
-        "difference at other voltages remains",
+        law="the commanded thrust is divided by the same power of the voltage measured on board",
     ),
     thrust_factor=_factor,
     to_feedforward=_feedforward,

@@ -41,6 +41,7 @@ EFFECT = Effect(
         planner="if the model has no drag, prefers paths on which the thrust, and with it the torque, "
         "changes less; the torque at hover is ignored",
         law=None,
+        no_law="the feed-forward has no torque; the rate integral balances it",
     ),
     torque_frd=_torque,
 )

@@ -113,11 +113,14 @@ class Closing:
         starred plans, which have the model in their dynamics, do not change either.
     law
         How the control law on board compensates the effect; None if it cannot.
+    no_law
+        Why it cannot; None if it can, or if no reason is stated.
     """
 
     model: str
     planner: str
     law: str | None
+    no_law: str | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -255,6 +258,8 @@ class Effect:
             )
         if (self.closing.law is None) != (self.to_feedforward is None):
             raise ValueError(f"effect {self.name}: closing.law and to_feedforward must be given together")
+        if self.closing.law is not None and self.closing.no_law is not None:
+            raise ValueError(f"effect {self.name}: closing.law and closing.no_law contradict each other")
         self._check_aliases()
         self._check_unknowns()
         if self.family not in get_args(Family):

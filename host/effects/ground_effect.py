@@ -42,6 +42,7 @@ EFFECT = Effect(
         model="the thrust of every rotor increases near the floor",
         planner="if the model has no drag, stays away from the floor where the waypoints permit it",
         law=None,
+        no_law="the feed-forward does not depend on height",
     ),
     thrust_factor=_factor,
 )

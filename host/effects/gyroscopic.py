@@ -45,6 +45,7 @@ EFFECT = Effect(
         model="a torque perpendicular to the body rate, proportional to the excess rotor speed of one spin",
         planner="if the model has no drag, prefers lower body rates where the rotor speeds differ",
         law=None,
+        no_law="the feed-forward has no torque; the rate loop rejects it",
     ),
     torque_frd=_torque,
 )

@@ -44,6 +44,7 @@ EFFECT = Effect(
         model="the principal moments are multiplied by constants",
         planner="if the model has no drag, prefers gentler rotations, which need less torque",
         law=None,
+        no_law="the rate loop takes the moments of inertia from the vehicle file; correct them there",
     ),
     inertia_factors=_factors,
 )

@@ -42,6 +42,7 @@ EFFECT = Effect(
         model="rotor thrust follows commands with the other time constant",
         planner="nothing: plans contain rotor thrusts, which have no lag",
         law=None,
+        no_law="rotors cannot be made faster; correct the lag in the vehicle file",
     ),
     motor_lag_s=_lag,
 )

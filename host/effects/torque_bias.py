@@ -39,6 +39,7 @@ EFFECT = Effect(
         planner="nothing, except in starred plans, whose dynamics contain it; limits are checked for the "
         "nominal vehicle",
         law=None,
+        no_law="the feed-forward has no torque; the rate integral balances it",
     ),
     torque_frd=_torque,
 )

@@ -40,6 +40,7 @@ EFFECT = Effect(
         model="a force along body -z that grows with the square of the air speed across the rotors",
         planner="prefers paths with less lift: slower where the speed is greatest",
         law=None,
+        no_law="the feed-forward has no force that grows with the square of the speed across the rotors",
     ),
     specific_force_frd=_force,
 )

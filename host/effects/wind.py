@@ -45,7 +45,7 @@ EFFECT = Effect(
     closing=Closing(
         model="drag depends on the velocity relative to the air",
         planner="prefers paths with less drag in moving air: slower against the wind",
-        law="the drag of the mean wind on a vehicle at rest is fed forward as a constant acceleration",
+        law="the drag that is fed forward is that of the velocity relative to the air",
     ),
     wind_ned=_wind,
     to_feedforward=_feedforward,

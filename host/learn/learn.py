@@ -93,7 +93,7 @@ class Learned:
     @property
     def improved(self) -> bool:
         """Whether the model improves the prediction, both of the flights used and of those held out."""
-        return all(judged.ratio < 1.0 for judged in (self.train, self.test) if judged is not None)
+        return _improves(self.train, self.test)
 
 
 def learn(  # noqa: PLR0913 (one keyword for each choice)
@@ -138,9 +138,10 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     nothing, test = trials[0], None
     if nothing.test and selected.test:
         test = _judged(data, data.test, nothing.test, selected.test, base, model)
+    train_errors = _judged(data, data.used, nothing.train, selected.train, base, model)
     return Learned(
-        model=model,
-        train=_judged(data, data.used, nothing.train, selected.train, base, model),
+        model=_assessed(model, base, train_errors, test),
+        train=train_errors,
         test=test,
         trials=trials,
         selected=selected,
@@ -244,6 +245,23 @@ def _model(
         region=region(data.used),
         data=tuple(sorted({s.flight_id for s in data.used} | set(model.data))),
         provenance=provenance,
+    )
+
+
+def _improves(train_errors: Judged, test: Judged | None) -> bool:
+    return all(judged.ratio < 1.0 for judged in (train_errors, test) if judged is not None)
+
+
+def _assessed(model: Model, base: Model | None, train_errors: Judged, test: Judged | None) -> Model:
+    """Return the model with its assessment. It is undecided without improvement, or if the base is."""
+    earlier = None if base is None else base.assessment
+    decided = _improves(train_errors, test) and (earlier is None or earlier.verdict != "undecided")
+    return model.assessed(
+        "learned" if decided else "undecided",
+        probabilities={} if earlier is None else earlier.probabilities,
+        flights=0 if test is None else len(test.flights),
+        before_m=None if test is None else test.base.position_rmse_m,
+        after_m=None if test is None else test.learned.position_rmse_m,
     )
 
 

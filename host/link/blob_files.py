@@ -19,7 +19,8 @@ def read_blob(path: str | Path) -> Blob:
         return from_bytes(data)
     except BlobError as error:
         raise UsageError(
-            f"{path}: not a reference or feed-forward ({error}); make one with trimtab plan"
+            f"{path}: not a reference or feed-forward ({error}); make one with `trimtab plan` or "
+            "`trimtab correct`"
         ) from error
 
 

@@ -222,6 +222,7 @@ class Recorder:
             conditions=message.conditions,
             action=message.action,
             swap_us=0 if message.swap_tick == m.NO_TICK else message.swap_tick * TICK_US,
+            feedforward_faded=message.feedforward_faded,
         )
         self._log.write(topics.FC_STATUS, status, log_us, self._publish_us(source_us))
 

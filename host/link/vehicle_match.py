@@ -32,8 +32,11 @@ def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: 
 
 
 def neutral_feedforward(vehicle_id: str) -> FeedForward:
-    """Return the feed-forward without effect: a vehicle flies with it as without any."""
-    return FeedForward(vehicle_id=vehicle_id, model_id="0" * 12, block=NEUTRAL_BLOCK)
+    """Return the feed-forward without effect: a vehicle flies with it as without any.
+
+    It has version 1, which every vehicle accepts.
+    """
+    return FeedForward(vehicle_id=vehicle_id, model_id="0" * 12, block=NEUTRAL_BLOCK, version=1)
 
 
 def _called(vehicle_id: str) -> str:

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from typing import Any
 
 from trimtab.firmware_model.law import step as law_step
-from trimtab.firmware_model.law.observer import DISTURBANCE_MAX, measured_disturbance
+from trimtab.firmware_model.law.observer import DISTURBANCE_MAX
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import dot
 
@@ -59,18 +59,16 @@ def observer_rates(
     ops: Ops,
     firmware: Sequence[Scalar],
     states: Sequence[Scalar],
-    v_dot_ned: Sequence[Scalar],
-    R: Sequence[Scalar],
+    measured: Sequence[Scalar],
     commanded_thrust: Scalar,
     hold_s: float,
 ) -> list[Scalar]:
     """Return the derivatives of the observer's four states (`trimtab.firmware_model.law.observer`).
 
-    states: disturbance estimate 3, lagged collective thrust. v_dot_ned, R: as estimated on board.
+    states: disturbance estimate 3, lagged collective thrust (N). measured: `measured_disturbance` at them.
     """
     *d_hat, thrust = states
     bandwidth, lag = law_step.observer(firmware)
-    measured = measured_disturbance(v_dot_ned, R, thrust, law_step.body(firmware).mass_kg)
     rates = [bandwidth * (s - d) for d, s in zip(d_hat, measured, strict=True)]
     square = dot(d_hat, d_hat)
     bound_squared = DISTURBANCE_MAX * DISTURBANCE_MAX

@@ -12,7 +12,7 @@ from pydantic import Field
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import UsageError
-from trimtab.host.models.model import Covariance, Model, network_digest
+from trimtab.host.models.model import Assessment, Covariance, Model, VerdictCode, network_digest
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
 from trimtab.host.vehicle.canonical_toml import write_toml
@@ -48,6 +48,14 @@ class _RegionTable(Strict):
     thrust_max_n: float
 
 
+class _AssessmentTable(Strict):
+    verdict: VerdictCode
+    probabilities: Mapping[str, float] = Field(default_factory=dict)
+    held_out_flights: int = 0
+    before_m: float | None = None
+    after_m: float | None = None
+
+
 class _File(Strict):
     kind: Literal["trimtab-model"]
     version: Literal[1]
@@ -61,6 +69,7 @@ class _File(Strict):
     covariance: _CovarianceTable | None = None
     network: _NetworkTable | None = None
     region: _RegionTable | None = None
+    assessment: _AssessmentTable | None = None
     provenance: _Provenance = Field(default_factory=dict)
 
 
@@ -93,6 +102,7 @@ def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
         covariance=None if model.covariance is None else _CovarianceTable(**content["covariance"]),
         network=None if network is None else _NetworkTable(**network),
         region=None if model.region is None else _RegionTable(**content["region"]),
+        assessment=None if model.assessment is None else _AssessmentTable(**content["assessment"]),
         provenance={key: value for key, value in model.provenance.items() if value is not None},
     )
     try:
@@ -130,6 +140,7 @@ def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
             network=None if table.network is None else _read_network(path, table.network),
             region=None if table.region is None else Region(**_plain(table.region)),
             data=table.data,
+            assessment=None if table.assessment is None else Assessment(**_plain(table.assessment)),
             provenance=table.provenance,
         )
     except ModelFileError:

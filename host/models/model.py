@@ -6,9 +6,9 @@ import hashlib
 import json
 import math
 from collections.abc import Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 from trimtab.host.base.artefacts import content_id
 from trimtab.host.effects import Effect
@@ -18,6 +18,8 @@ from trimtab.host.models.region import Region
 
 Values = Mapping[str, Mapping[str, float]]
 """Effect name -> parameter key -> value."""
+VerdictCode = Literal["traced", "nothing-missing", "undecided", "outside-library", "learned"]
+"""Verdict of a trace, or "learned"."""
 Use = Literal["both", "effects", "adjustments", "none"]
 
 NUISANCES = frozenset({"thrust-curve"})
@@ -55,12 +57,50 @@ class Covariance:
         return math.sqrt(self.matrix[i][i])
 
 
+@dataclass(frozen=True, kw_only=True)
+class Assessment:
+    """How far the data supports a model.
+
+    Attributes
+    ----------
+    verdict
+        Verdict of the trace; for a learned model "learned" if it predicts better than without it, else
+        "undecided".
+    probabilities
+        Inclusion probability of each effect that a trace names or does not exclude.
+    held_out_flights
+        Number of held-out flights.
+    before_m, after_m
+        Position RMSE of their predictions without and with the model, m. None if no flight was held out, or
+        if a prediction diverges.
+    """
+
+    verdict: VerdictCode
+    probabilities: Mapping[str, float] = field(default_factory=dict)
+    held_out_flights: int = 0
+    before_m: float | None = None
+    after_m: float | None = None
+
+    def __post_init__(self) -> None:
+        if self.verdict not in get_args(VerdictCode):
+            raise ValueError(f"verdict {self.verdict!r} is not one of {', '.join(get_args(VerdictCode))}")
+        for name, probability in self.probabilities.items():
+            if not 0.0 <= probability <= 1.0:
+                raise ValueError(f"probability of {name} is {probability}, must be within 0..1")
+        errors = [error for error in (self.before_m, self.after_m) if error is not None]
+        if errors and not self.held_out_flights:
+            raise ValueError("held-out errors need held-out flights")
+        if not all(0.0 <= error < math.inf for error in errors):
+            raise ValueError(f"held-out errors must be finite and >= 0, got {errors}")
+
+
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Model:
     """The content of a model file.
 
     `effects` are named; `adjustments` moved within their tolerances; no effect is in both. `sources` has the
-    id of each effect's file, `data` the ids of the logs. `provenance` is no part of the id.
+    id of each effect's file, `data` the ids of the logs. `assessment` is None in a file that states none.
+    `provenance` is no part of the id.
     """
 
     vehicle_id: str
@@ -72,6 +112,7 @@ class Model:
     network: Network | None = None
     region: Region | None = None
     data: tuple[str, ...] = ()
+    assessment: Assessment | None = None
     provenance: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -87,6 +128,28 @@ class Model:
         if self.covariance is not None and not set(self.covariance.names) <= known:
             extra = sorted(set(self.covariance.names) - known)
             raise ValueError(f"covariance names no parameter of this model: {', '.join(extra)}")
+
+    def assessed(
+        self,
+        verdict: VerdictCode,
+        *,
+        probabilities: Mapping[str, float],
+        flights: int,
+        before_m: float | None,
+        after_m: float | None,
+    ) -> Model:
+        """Return this model with its assessment; errors that are not finite are left out."""
+        before_m, after_m = (
+            error if error is not None and math.isfinite(error) else None for error in (before_m, after_m)
+        )
+        assessment = Assessment(
+            verdict=verdict,
+            probabilities=dict(sorted(probabilities.items())),
+            held_out_flights=flights,
+            before_m=before_m,
+            after_m=after_m,
+        )
+        return replace(self, assessment=assessment)
 
     @cached_property
     def id(self) -> str:
@@ -108,6 +171,10 @@ class Model:
             content["covariance"] = {"names": self.covariance.names, "matrix": self.covariance.matrix}
         if self.region is not None:
             content["region"] = dict(vars(self.region))
+        if self.assessment is not None:
+            content["assessment"] = vars(self.assessment) | {
+                "probabilities": dict(self.assessment.probabilities)
+            }
         if self.network is not None:
             content["network"] = {
                 "hidden": self.network.layout.hidden,

@@ -27,7 +27,7 @@ import numpy as np
 from trimtab.firmware_model.law import step as law_step
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.dfbc import control
-from trimtab.firmware_model.law.observer import bounded
+from trimtab.firmware_model.law.observer import bounded, measured_disturbance
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI, NUMPY
@@ -39,6 +39,7 @@ from trimtab.host.models.drive import (
     COMMANDED_THRUST,
     DRIVE_ROWS,
     FF_ACCEL,
+    FF_GAIN,
     FF_JERK,
     FLIGHT,
     INPUTS_VOLTAGE_AND_TIME,
@@ -204,10 +205,13 @@ class Phi:
         command, integral_rates = self._law(ops, x, drive, constants, feedback, body[RATE], lag_s)
         arriving, delay_rates, observer = command, [], []
         if self.observes:
-            thrust = constants.gain * (command[0] + command[1] + command[2] + command[3])
+            thrust = drive[FF_GAIN] * (command[0] + command[1] + command[2] + command[3])
             v_dot, R = feedback.v_dot_ned, feedback.R
+            offset = (constants.attitude_offset_roll, constants.attitude_offset_pitch)
+            mass_kg = law_step.body(self.firmware).mass_kg
+            measured = measured_disturbance(v_dot, R, x[self.observer][3], mass_kg, drive[FF_ACCEL], offset)
             observer = continuous_law.observer_rates(
-                ops, self.firmware, x[self.observer], v_dot, R, thrust, self.hold_s
+                ops, self.firmware, x[self.observer], measured, thrust, self.hold_s
             )
         if self.commands.stop > self.commands.start:
             delay_s = command_delay_s(ops, parts) + self.hold_s
@@ -268,7 +272,7 @@ class Phi:
         share = slope_factor * gains.filter_rate / (corner * corner)
         present = rotor_torque(self.vehicle, x[THRUST])
         torque = continuous_law.torque_with_filter_lag(torque, present, gains.rate_derivative, share, lag_s)
-        _, command, _ = law_step.motors(ops, self.firmware, collective, torque, constants.gain)
+        _, command, _ = law_step.motors(ops, self.firmware, collective, torque, drive[FF_GAIN])
         return command, [
             continuous_law.limited_integral_rate(ops, integral[i], integral_dot[i], limit[i])
             for i in range(3)
@@ -314,7 +318,7 @@ class Phi:
         if self.drive == "inputs":
             still[INPUTS_VOLTAGE_AND_TIME] = 1.0, 0.0
         else:
-            still[2], still[VOLTAGE_AND_TIME.start] = -1.0, 1.0
+            still[2], still[FF_GAIN], still[VOLTAGE_AND_TIME.start] = -1.0, 1.0, 1.0
         matrix = np.array(jacobian(hover, still), dtype=float)
         return float(np.abs(np.linalg.eigvals(matrix)).max())
 

@@ -2,19 +2,16 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from typing import Annotated, Any
 
 import numpy as np
 
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.dfbc import FlatState
-from trimtab.firmware_model.law.flatness import flat_attitude
-from trimtab.firmware_model.law.rotations import matrix_to_euler
-from trimtab.firmware_model.law.step import feedforward_terms
+from trimtab.firmware_model.law.step import feedforward_terms, flat_motion
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.log.tracking import reference_at
-from trimtab.protocol.blobs import FeedForward, Reference
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
 
 FLAT_ROWS = 14
 """p, v, a, j (NED), yaw, yaw rate."""
@@ -36,26 +33,37 @@ def flat_outputs(
 def feedforward_rows(
     flat: Annotated[np.ndarray, "14 times"], feedforward: FeedForward | None
 ) -> Annotated[np.ndarray, "6 times"]:
-    """Return the residual acceleration fed forward along flat outputs, and its derivative.
-
-    The network's share has no derivative, as on board.
-    """
+    """Return the residual acceleration fed forward along flat outputs, and its derivative, as on board."""
     rows = np.zeros((FEEDFORWARD_ROWS, flat.shape[1]))
     if feedforward is None:
         return rows
     reference = FlatState(flat[0:3], flat[3:6], flat[6:9], flat[9:12], flat[12], flat[13])  # type: ignore[arg-type]
-    network: Sequence[Any] = (0.0, 0.0, 0.0)
+    network = law_feedforward.NO_RESIDUAL
     if feedforward.layers:
-        R, _ = flat_attitude(NUMPY, reference.a, reference.yaw)
-        angles = matrix_to_euler(NUMPY, R)
-        network = law_feedforward.network(NUMPY, feedforward.weights, feedforward.layers, reference.v, angles)
-    accel, jerk = feedforward_terms(NUMPY, block(feedforward), reference, network)
+        motion, _ = flat_motion(NUMPY, reference)
+        network = law_feedforward.network_residual(
+            NUMPY, feedforward.weights, feedforward.layers, motion, body_frame=feedforward.frame == "body"
+        )
+        if feedforward.version == 1:
+            network = network._replace(jerk_ned=law_feedforward.NO_RESIDUAL.jerk_ned)
+    accel, jerk, _ = feedforward_terms(NUMPY, block(feedforward), reference, network)
     rows[:] = np.array([np.broadcast_to(row, flat.shape[1]) for row in (*accel, *jerk)])
     return rows
 
 
+def thrust_gain(
+    feedforward: FeedForward | None, voltage_ratio: Annotated[np.ndarray, "times"] | float
+) -> Annotated[np.ndarray, "times"]:
+    """Return the gain (actual over nominal thrust) of the law at battery voltages over full voltage."""
+    coefficients = block(feedforward)
+    gain, exponent = coefficients[law_feedforward.GAIN], coefficients[law_feedforward.VOLTAGE_EXPONENT]
+    return law_feedforward.gain_at_voltage(NUMPY, gain, exponent, np.asarray(voltage_ratio, dtype=float))
+
+
 def block(feedforward: FeedForward | None) -> tuple[float, ...]:
-    """Return form (a) of a feed-forward; the neutral block where it has none."""
-    if feedforward is None or feedforward.block is None:
+    """Return the law's block of a feed-forward: its form (a), or the neutral one, and its region."""
+    if feedforward is None:
         return law_feedforward.NEUTRAL
-    return feedforward.block
+    coefficients = NEUTRAL_BLOCK if feedforward.block is None else feedforward.block
+    region = law_feedforward.OPEN_REGION if feedforward.region is None else feedforward.region
+    return (*coefficients, *region)

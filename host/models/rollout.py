@@ -10,11 +10,11 @@ from typing import Annotated
 
 import numpy as np
 
-from trimtab.host.models.drive import DRIVE_ROWS, VOLTAGE_AND_TIME
+from trimtab.host.models.drive import DRIVE_ROWS, FF_GAIN, VOLTAGE_AND_TIME
 from trimtab.host.models.lanes import Lanes
 from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
-from trimtab.host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs
+from trimtab.host.models.reference import FLAT_ROWS, feedforward_rows, flat_outputs, thrust_gain
 from trimtab.protocol.blobs import FeedForward, Reference
 
 
@@ -29,11 +29,12 @@ def reference_drive(
     *,
     feedforward: FeedForward | None = None,
     voltage_ratio: Annotated[np.ndarray, "times"] | float = 1.0,
-) -> Annotated[np.ndarray, "times 22"]:
+) -> Annotated[np.ndarray, "times 23"]:
     """Return the drive `reference` at times since the reference's start."""
     rows = np.empty((DRIVE_ROWS["reference"], len(t_s)))
     rows[:FLAT_ROWS] = flat_outputs(reference, t_s)
-    rows[FLAT_ROWS : VOLTAGE_AND_TIME.start] = feedforward_rows(rows[:FLAT_ROWS], feedforward)
+    rows[FLAT_ROWS:FF_GAIN] = feedforward_rows(rows[:FLAT_ROWS], feedforward)
+    rows[FF_GAIN] = thrust_gain(feedforward, voltage_ratio)
     voltage, time = rows[VOLTAGE_AND_TIME]
     voltage[:] = voltage_ratio
     time[:] = t_s
@@ -64,7 +65,7 @@ def roll_out(  # noqa: PLR0913 (the data of one problem)
     drive
         (stages, rows of the drive, flights) at `half_steps`; without the last axis for one flight.
     flight
-        (16, flights) or (16,), `flight_constants`.
+        (15, flights) or (15,), `flight_constants`.
     theta
         (parameters, lanes) or (parameters,).
     step_s

@@ -16,7 +16,7 @@ from trimtab.host.log.prepare import STEP_S, Prepared, prepare
 from trimtab.host.models.bias import accelerometer_bias, standing_errors
 from trimtab.host.models.drive import FlightConstants, flight_constants
 from trimtab.host.models.phi import INTEGRAL, Phi
-from trimtab.host.models.reference import block
+from trimtab.host.models.reference import block, thrust_gain
 from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.protocol.blobs import FeedForward, Reference
 from trimtab.protocol.parameters import DEFAULTS
@@ -52,7 +52,7 @@ class States:
     thrust: Annotated[np.ndarray, "samples 4"]
     integral: Annotated[np.ndarray, "samples 3"]
     voltage_ratio: Annotated[np.ndarray, "samples"]
-    constants: Annotated[np.ndarray, "16"]
+    constants: Annotated[np.ndarray, "15"]
     observer: Annotated[np.ndarray, "samples 3"] | None = None
     seen: Annotated[np.ndarray, "samples"] | None = None
     notes: tuple[str, ...] = ()
@@ -75,8 +75,9 @@ class States:
                 for i, per_bias in enumerate(errors):
                     x[phi.errors.start + 3 * i : phi.errors.start + 3 * i + 3] = per_bias * excess
             if phi.observes:
+                gain = float(thrust_gain(self.feedforward, self.voltage_ratio[k]))
                 d_hat = np.zeros(3) if self.observer is None else self.observer[k]
-                x[phi.observer] = [*d_hat, constants.gain * self.thrust[k].sum()]
+                x[phi.observer] = [*d_hat, gain * self.thrust[k].sum()]
             if phi.commands.stop > phi.commands.start:
                 x[phi.commands] = self.thrust[k]
         x[phi.memory] = phi.at_rest(x)

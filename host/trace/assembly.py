@@ -12,13 +12,10 @@ from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
 from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.signals import nominal_thrust
+from trimtab.host.trace.decision.decide import Decision
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.prediction import (
-    Errors,
-    predict_flights,
-    predict_segments,
-)
+from trimtab.host.trace.prediction import Errors, predict_flights, predict_segments, rmse
 from trimtab.host.trace.result import Named, Value
 from trimtab.host.trace.segment_fit.fit import theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
@@ -130,6 +127,23 @@ def model_of(
         ),
         data=tuple(flight.id for flight in flights),
         provenance=dict(provenance or {}),
+    )
+
+
+def assessed(
+    model: Model,
+    decision: Decision,
+    named: Sequence[Named],
+    before: Sequence[Errors],
+    after: Sequence[Errors],
+) -> Model:
+    """Return the model with verdict, inclusion probabilities, and held-out errors without and with it."""
+    return model.assessed(
+        decision.verdict.value,
+        probabilities={**decision.possible, **{effect.name: effect.probability for effect in named}},
+        flights=len(before),
+        before_m=rmse(before)["position_rmse_m"] if before else None,
+        after_m=rmse(after)["position_rmse_m"] if after else None,
     )
 
 

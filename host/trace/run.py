@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import TORQUE
 from trimtab.host.log import Flight
-from trimtab.host.trace.assembly import held_out_errors, model_of, named_effects
+from trimtab.host.trace.assembly import assessed, held_out_errors, model_of, named_effects
 from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import observable_effects, read_logs
@@ -110,7 +110,7 @@ def run(
         adjustments_only=adjusted,
         noise_floor=noise_floor(logs, model, effects),
         next_flight=next_flight,
-        model=model,
+        model=assessed(model, decision, named, before, after),
         space=parameters,
         diagnosis=diagnosis,
         residual=decision.residual,

@@ -84,7 +84,7 @@ class Control(_message.Message):
     def __init__(self, source_us: _Optional[int] = ..., interval_us: _Optional[int] = ..., collective_n: _Optional[float] = ..., rate_cmd_rad_s: _Optional[_Iterable[float]] = ..., torque_cmd_n_m: _Optional[_Iterable[float]] = ..., rate_integral: _Optional[_Iterable[float]] = ..., motor_mean: _Optional[_Iterable[float]] = ..., gyro_mean_rad_s: _Optional[_Iterable[float]] = ..., force_mean_m_s2: _Optional[_Iterable[float]] = ..., observer_ned_m_s2: _Optional[_Iterable[float]] = ...) -> None: ...
 
 class Status(_message.Message):
-    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used", "loop_mean_us", "jitter_us", "mocap_age_max_us", "bad_bytes", "conditions", "action", "swap_us")
+    __slots__ = ("source_us", "state", "failsafe", "battery_v", "reference_id", "feedforward_id", "tracking_start_us", "loop_max_us", "loop_overruns", "receive_overruns", "saturated_ticks", "flight_ticks", "poses_used", "loop_mean_us", "jitter_us", "mocap_age_max_us", "bad_bytes", "conditions", "action", "swap_us", "feedforward_faded")
     class State(int, metaclass=_enum_type_wrapper.EnumTypeWrapper):
         __slots__ = ()
         BOOT: _ClassVar[Status.State]
@@ -145,6 +145,7 @@ class Status(_message.Message):
     CONDITIONS_FIELD_NUMBER: _ClassVar[int]
     ACTION_FIELD_NUMBER: _ClassVar[int]
     SWAP_US_FIELD_NUMBER: _ClassVar[int]
+    FEEDFORWARD_FADED_FIELD_NUMBER: _ClassVar[int]
     source_us: int
     state: Status.State
     failsafe: Status.Failsafe
@@ -165,7 +166,8 @@ class Status(_message.Message):
     conditions: int
     action: int
     swap_us: int
-    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ..., loop_mean_us: _Optional[int] = ..., jitter_us: _Optional[int] = ..., mocap_age_max_us: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., conditions: _Optional[int] = ..., action: _Optional[int] = ..., swap_us: _Optional[int] = ...) -> None: ...
+    feedforward_faded: int
+    def __init__(self, source_us: _Optional[int] = ..., state: _Optional[_Union[Status.State, str]] = ..., failsafe: _Optional[_Union[Status.Failsafe, str]] = ..., battery_v: _Optional[float] = ..., reference_id: _Optional[str] = ..., feedforward_id: _Optional[str] = ..., tracking_start_us: _Optional[int] = ..., loop_max_us: _Optional[int] = ..., loop_overruns: _Optional[int] = ..., receive_overruns: _Optional[int] = ..., saturated_ticks: _Optional[int] = ..., flight_ticks: _Optional[int] = ..., poses_used: _Optional[int] = ..., loop_mean_us: _Optional[int] = ..., jitter_us: _Optional[int] = ..., mocap_age_max_us: _Optional[int] = ..., bad_bytes: _Optional[int] = ..., conditions: _Optional[int] = ..., action: _Optional[int] = ..., swap_us: _Optional[int] = ..., feedforward_faded: _Optional[int] = ...) -> None: ...
 
 class Link(_message.Message):
     __slots__ = ("frames_sent", "frames_received", "frames_lost", "frames_repeated", "bad_bytes", "rtt_us", "clock_offset_us", "clock_offset_sd_us", "camera_offset_us", "messages_sent", "messages_received", "messages_lost", "rtt_last_us", "bytes_sent", "bytes_received", "radios")

@@ -36,7 +36,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     331: ("ODOMETRY", 91, 233),
     52100: ("FC_CONTROL", 18, 84),
     52101: ("FC_ESTIMATE", 35, 62),
-    52102: ("FC_STATUS", 142, 76),
+    52102: ("FC_STATUS", 142, 77),
     52103: ("RADIO_STATS", 200, 22),
     52104: ("FC_OBSERVER", 140, 16),
     52110: ("UPLOAD_BEGIN", 202, 40),

@@ -2384,22 +2384,22 @@ class MAVLink_fc_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_FC_STATUS
     msgname = "FC_STATUS"
-    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "swap_tick", "conditions", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
-    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "swap_tick", "conditions", "battery_mv", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id"]
-    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "swap_tick", "conditions", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded"]
+    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "swap_tick", "conditions", "battery_mv", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
     fieldenums_by_name: Dict[str, str] = {"state": "TRIMTAB_STATE", "failsafe": "TRIMTAB_FAILSAFE", "staged_kind": "TRIMTAB_BLOB"}
-    fieldunits_by_name: Dict[str, str] = {"tick": "ms", "state_tick": "ms", "reference_tick": "ms", "battery_mv": "mV", "swap_tick": "ms", "loop_us": "us", "loop_mean_us": "us", "jitter_us": "us"}
-    native_format = bytearray(b"<IIIIIIIIHHHHHHHHBBBBBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 8, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6]
+    fieldunits_by_name: Dict[str, str] = {"tick": "ms", "state_tick": "ms", "reference_tick": "ms", "battery_mv": "mV", "swap_tick": "ms", "loop_us": "us", "loop_mean_us": "us", "jitter_us": "us", "feedforward_faded": "%"}
+    native_format = bytearray(b"<IIIIIIIIHHHHHHHHBBBBBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 8, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6, 0]
     crc_extra = 142
-    unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6B")
+    unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6BB")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]):
+    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0):
         MAVLink_message.__init__(self, MAVLink_fc_status_message.id, MAVLink_fc_status_message.msgname)
         self._fieldnames = MAVLink_fc_status_message.fieldnames
         self._instance_field = MAVLink_fc_status_message.instance_field
@@ -2428,9 +2428,10 @@ class MAVLink_fc_status_message(MAVLink_message):
         self.reference_id = reference_id
         self.feedforward_id = feedforward_id
         self.vehicle_id = vehicle_id
+        self.feedforward_faded = feedforward_faded
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.swap_tick, self.conditions, self.battery_mv, self.loop_us, self.loop_mean_us, self.jitter_us, self.mocap_age_max, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.action, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5]), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.swap_tick, self.conditions, self.battery_mv, self.loop_us, self.loop_mean_us, self.jitter_us, self.mocap_age_max, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.action, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5], self.feedforward_faded), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -4201,7 +4202,7 @@ class MAVLink(object):
         """
         self.send(self.fc_estimate_encode(tick, p, v, q, rate, mocap_age, gyro_bias), force_mavlink1=force_mavlink1)
 
-    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int]) -> MAVLink_fc_status_message:
+    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0) -> MAVLink_fc_status_message:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -4230,11 +4231,12 @@ class MAVLink(object):
         reference_id              : Of the live reference's. (type:uint8_t)
         feedforward_id            : Of the live feed-forward's. (type:uint8_t)
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
+        feedforward_faded         : Share of the residual acceleration of the feed-forward that is faded out, because the reference is beyond the region of its model. [%] (type:uint8_t)
 
         """
-        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id)
+        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded)
 
-    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], force_mavlink1: bool = False) -> None:
+    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, force_mavlink1: bool = False) -> None:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -4263,9 +4265,10 @@ class MAVLink(object):
         reference_id              : Of the live reference's. (type:uint8_t)
         feedforward_id            : Of the live feed-forward's. (type:uint8_t)
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
+        feedforward_faded         : Share of the residual acceleration of the feed-forward that is faded out, because the reference is beyond the region of its model. [%] (type:uint8_t)
 
         """
-        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id), force_mavlink1=force_mavlink1)
+        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded), force_mavlink1=force_mavlink1)
 
     def radio_stats_encode(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int) -> MAVLink_radio_stats_message:
         """

@@ -12,7 +12,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from trimtab.protocol import blobs
-from trimtab.protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Kind, Node, Reference, YawNode
+from trimtab.protocol.blobs import (
+    NEUTRAL_BLOCK,
+    BlobError,
+    FeedForward,
+    Kind,
+    Node,
+    Reference,
+    TrainedRegion,
+    YawNode,
+)
 
 VEHICLE = "0123456789ab"
 GOLDEN = (
@@ -134,9 +143,23 @@ def test_reference_free_ends_travel_in_the_flags() -> None:
     assert Reference.from_bytes(data).free_ends
 
 
+REGION = TrainedRegion(4.0, 0.5, 7.0, 13.0)
+BODY = {"frame": "body", "weights": [0.25] * (4 * 4 + 5 * 3 + 4 * 3)}
+
+
 @pytest.mark.parametrize(
     "changes",
-    [{}, {"block": None}, {"layers": (), "weights": ()}, {"layers": (32, 32, 32), "weights": [0.1] * 2435}],
+    [
+        {},
+        {"block": None},
+        {"layers": (), "weights": ()},
+        {"layers": (32, 32, 32), "weights": [0.1] * 2435},
+        {"region": REGION},
+        BODY,
+        {"block": None, "region": REGION, **BODY},
+        {"version": 1},
+        {"block": (*NEUTRAL_BLOCK[:13], 1.0, -2.0, 0.5, 2.0)},
+    ],
 )
 def test_feedforward_of_each_form_survives_both_ways(changes: dict) -> None:
     feedforward = make_feedforward(**changes)
@@ -145,10 +168,27 @@ def test_feedforward_of_each_form_survives_both_ways(changes: dict) -> None:
     assert blobs.kind_of(feedforward.to_bytes()) is Kind.FEEDFORWARD
 
 
-def test_feedforward_golden_bytes_of_the_block_alone() -> None:
+def test_feedforward_golden_bytes_of_a_block_of_version_1() -> None:
     header = "54525442 02 01 0100 0123456789ab" + "00" * 24 + "0d000000 00000000" + "ba9876543210 00"
     data = bytes.fromhex(header + "0000803f" + "00000000" * 12)
-    assert make_feedforward(layers=(), weights=()).to_bytes() == data
+    assert make_feedforward(layers=(), weights=(), version=1).to_bytes() == data
+    assert FeedForward.from_bytes(data).block == NEUTRAL_BLOCK
+
+
+def test_feedforward_golden_bytes_of_version_2() -> None:
+    header = "54525442 02 02 0f00 0123456789ab" + "00" * 24 + "11000000 0a000000" + "ba9876543210 01 01"
+    block = "0000803f" + "00000000" * 12 + "0000803f" + "00000000" * 2 + "00000040"
+    region = "00008040" + "0000003f" + "0000e040" + "00005041"
+    data = bytes.fromhex(header + block + "0000803e" * 10 + region)
+    feedforward = make_feedforward(
+        block=(*NEUTRAL_BLOCK[:13], 1.0, 0.0, 0.0, 2.0),
+        layers=(1,),
+        weights=[0.25] * 10,
+        frame="body",
+        region=REGION,
+    )
+    assert feedforward.to_bytes() == data
+    assert FeedForward.from_bytes(data) == feedforward
 
 
 @pytest.mark.parametrize(
@@ -157,8 +197,18 @@ def test_feedforward_golden_bytes_of_the_block_alone() -> None:
         ({"model_id": "x" * 12}, "model_id"),
         ({"block": None, "layers": (), "weights": ()}, "block: .* or both"),
         ({"block": (0.0, *NEUTRAL_BLOCK[1:])}, "block.gain"),
-        ({"block": (*NEUTRAL_BLOCK[:-1], -0.1)}, "block.prediction_time_s"),
-        ({"block": NEUTRAL_BLOCK[:-1]}, "block: has 12"),
+        ({"block": (*NEUTRAL_BLOCK[:12], -0.1, *NEUTRAL_BLOCK[13:])}, "block.prediction_time_s"),
+        ({"block": NEUTRAL_BLOCK[:-1]}, "block: has 16"),
+        ({"version": 3}, "version: 3"),
+        ({"version": 1, "region": REGION}, "version: 1 has no body frame and no region"),
+        ({"version": 1, **BODY}, "version: 1 has no body frame and no region"),
+        ({"version": 1, "block": (*NEUTRAL_BLOCK[:-1], 2.0)}, "version: 1 has no wind"),
+        ({"frame": "camera"}, "frame: 'camera'"),
+        ({"frame": "body", "layers": (), "weights": ()}, "frame: body needs a network"),
+        ({"region": REGION._replace(speed_max_m_s=-1.0)}, "region.speed_max_m_s"),
+        ({"region": REGION._replace(tilt_max_rad=4.0)}, "region.tilt_max_rad"),
+        ({"region": REGION._replace(thrust_min_m_s2=14.0)}, "region.thrust_max_m_s2"),
+        ({"region": (1.0, 2.0)}, "region: has 2"),
         ({"layers": (33,)}, "layers"),
         ({"layers": (4, 4, 4, 4)}, "layers"),
         ({"layers": (4,)}, "weights: .* need 43"),
@@ -181,15 +231,22 @@ def test_feedforward_of_origin_minus_zero_is_refused() -> None:
 def test_block_and_network_sizes_are_those_of_the_law() -> None:
     from trimtab.firmware_model.law import feedforward
 
-    assert blobs.BLOCK_SIZE == feedforward.FF_SIZE
-    assert blobs.NEUTRAL_BLOCK == feedforward.NEUTRAL
+    assert blobs.BLOCK_SIZE + len(TrainedRegion._fields) == feedforward.FF_SIZE
+    assert (*blobs.NEUTRAL_BLOCK, *feedforward.OPEN_REGION) == feedforward.NEUTRAL
     assert make_feedforward().layers == (4, 3)
     assert len(make_feedforward().weights) == feedforward.weight_count((4, 3))
 
 
 @settings(max_examples=300)
 @given(
-    base=st.sampled_from([make_reference().to_bytes(), make_feedforward().to_bytes()]),
+    base=st.sampled_from(
+        [
+            make_reference().to_bytes(),
+            make_feedforward().to_bytes(),
+            make_feedforward(version=1).to_bytes(),
+            make_feedforward(region=REGION, **BODY).to_bytes(),
+        ]
+    ),
     edits=st.lists(st.tuples(st.integers(0, 400), st.integers(0, 255)), max_size=6),
     cut=st.integers(0, 500),
     tail=st.binary(max_size=40),

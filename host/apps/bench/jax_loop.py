@@ -23,6 +23,7 @@ from trimtab.firmware_model.law.allocation import TABLE_SIZE
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX
 from trimtab.host.models.bias import standing_errors
+from trimtab.host.models.drive import FF_ACCEL, FF_GAIN, FF_JERK, FlightConstants
 from trimtab.host.models.dynamics import rotor_torque
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
@@ -86,7 +87,7 @@ class JaxLoop:
         return layers
 
     def derivative(self, x: Any, drive: Any, flight: Any, weights: Weights) -> Any:
-        """Return xdot (19,) at x (19,), drive (22,) and constants (16,) of a flight, as `Phi.derivative`."""
+        """Return xdot (19,) at x (19,), drive (23,) and constants (15,) of a flight, as `Phi.derivative`."""
         p, v, angles, rate, thrust, stored = jnp.split(x, (3, 6, 9, 12, 16))
         (sr, sp, sy), (cr, cp, cy) = jnp.sin(angles), jnp.cos(angles)
         R = _matrix(
@@ -108,7 +109,7 @@ class JaxLoop:
         wanted = self._k_rate * rate_error + integral - self._k_d * self._slope * rate_dot
         wanted = self._model_inertia * wanted + jnp.cross(rate, self._model_inertia * rate)
         wanted = (wanted - self._late * torque) / (1.0 - self._late)
-        command = self._allocate(collective / flight[0], wanted / flight[0])
+        command = self._allocate(collective / drive[FF_GAIN], wanted / drive[FF_GAIN])
 
         more = self._k_i * rate_error
         held = ((integral >= self._limit) & (more > 0.0)) | ((integral <= -self._limit) & (more < 0.0))
@@ -118,15 +119,16 @@ class JaxLoop:
 
     def _seen(self, p: Any, v: Any, a: Any, R: Any, flight: Any) -> tuple[Any, Any]:
         """Return position and velocity as fed back: with the accelerometer's bias, and delayed."""
-        off_p, off_v = standing_errors(self._estimator, flight[4], flight[5])
-        excess, delay = R @ flight[7:10], flight[6]
+        constants = FlightConstants(*flight)
+        off_p, off_v = standing_errors(self._estimator, constants.mocap_age_s, constants.mocap_interval_s)
+        excess, delay = R @ flight[6:9], constants.feedback_delay_s
         v = v + off_v * excess
         return p + off_p * excess - delay * (v - 0.5 * delay * a), v - delay * a
 
     def _lead(self, p: Any, v: Any, R: Any, drive: Any, flight: Any) -> tuple[Any, Any, Any]:
         """Return collective thrust (N), body rate fed forward (rad/s) and attitude error (3,) of the law."""
         p_r, v_r, a_r, j_r = drive[:12].reshape(4, 3)
-        yaw, yaw_rate, ff_accel, ff_jerk = drive[12], drive[13], drive[14:17], drive[17:20]
+        yaw, yaw_rate, ff_accel, ff_jerk = drive[12], drive[13], drive[FF_ACCEL], drive[FF_JERK]
         feedback = self._k_p * (p_r - p) + self._k_v * (v_r - v)
         most = FEEDBACK_MAX**2
         feedback = feedback * jnp.sqrt(most / jnp.maximum(jnp.sum(feedback * feedback), most))
@@ -145,7 +147,7 @@ class JaxLoop:
         wanted = _matrix((xx, zy * xz, zx), (zero, n, zy), (xz, -zy * xx, zz))
         E = wanted.T @ to_heading @ R
         error = 0.5 * jnp.stack((E[2, 1] - E[1, 2], E[0, 2] - E[2, 0], E[1, 0] - E[0, 1]))
-        error = error - jnp.stack((flight[1], flight[2], zero))
+        error = error - jnp.stack((flight[0], flight[1], zero))
 
         gx, gy, gz = to_heading @ (ff_jerk - j_r)
         rate_y = (gx * zz - gz * zx) / (n * force)

@@ -22,13 +22,13 @@ from trimtab.host.apps.bench.jax_loop import JaxLoop, Weights
 from trimtab.host.models.segments import Segments
 
 Rate = Callable[[Any, Any, Weights], Any]
-"""(x (S, size), drive (S, 22), weights) -> xdot (S, size)."""
+"""(x (S, size), drive (S, 23), weights) -> xdot (S, size)."""
 Integrator = Callable[[Rate, Any, Any, Weights, float], Any]
-"""(rate, x0 (S, size), drive (2 N + 1, S, 22), weights, step in s) -> states (N, S, size)."""
+"""(rate, x0 (S, size), drive (2 N + 1, S, 23), weights, step in s) -> states (N, S, size)."""
 
 
 def arrays_of(segments: Segments) -> tuple[Any, ...]:
-    """Return starts (S, size), drive (2 N + 1, S, 22), constants (S, 16) and later states (N, S, 12)."""
+    """Return starts (S, size), drive (2 N + 1, S, 23), constants (S, 15) and later states (N, S, 12)."""
     drive, measured = segments.drive.swapaxes(0, 1), segments.measured[:, 1:].swapaxes(0, 1)
     return tuple(jnp.asarray(array) for array in (segments.x0, drive, segments.constants, measured))
 

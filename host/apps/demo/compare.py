@@ -78,8 +78,7 @@ class Comparison:
     """The first flights of a route, a new plan flown by the same law, and a flight with the effects applied.
 
     The last flies the new plan, or the first plan if there is no new one. `no_new_plan` and `no_applied` are
-    the reasons for missing flights. `voltage_ratio` is the battery voltage over full voltage for which the
-    effects are applied; None if it has no influence.
+    the reasons for missing flights.
     """
 
     first: tuple[Tracked, ...]
@@ -88,7 +87,6 @@ class Comparison:
     applied: Tracked | None = None
     no_new_plan: str | None = None
     no_applied: str | None = None
-    voltage_ratio: float | None = None
 
     def __post_init__(self) -> None:
         for flown, reason in ((self.new_plan, self.no_new_plan), (self.applied, self.no_applied)):
@@ -122,7 +120,6 @@ class Comparison:
                 "poses_taken_earlier_s": self.latency_s,
                 "no_new_plan": self.no_new_plan,
                 "no_applied": self.no_applied,
-                "applied_at_voltage_ratio": self.voltage_ratio,
                 "flights": [
                     {
                         "what": flight.label,

@@ -50,8 +50,7 @@ def _text(comparison: Comparison) -> list[str]:
     if comparison.applied is not None:
         applied = (
             f"The last flight ({comparison.applied.label}) compensates the traced effects on board as far "
-            f"as possible, for a battery at {100 * (comparison.voltage_ratio or 1.0):.1f} % of full "
-            "voltage, the mean of the flights learned from."
+            "as possible."
         )
     else:
         applied = f"No flight with the effects compensated on board: {_sentence(comparison.no_applied)}"

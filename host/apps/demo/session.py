@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.apps.demo import report
-from trimtab.host.apps.demo.applied import to_apply, voltage_ratio
+from trimtab.host.apps.demo.applied import to_apply
 from trimtab.host.apps.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
 from trimtab.host.apps.demo.files import FEEDFORWARD_NAME, JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
 from trimtab.host.apps.demo.flights import Airfield, upload_through_pty
@@ -248,9 +248,8 @@ class _Demo:
         if second is not None:
             new_plan, no_new_plan = fly("new plan", second, None)
         flown, label = (route, "first plan") if second is None else (second, "new plan")
-        ratio = voltage_ratio([flight for _, flight in used])
         feedforward, no_applied = to_apply(
-            model, self._request.vehicle, self._effects, ratio, partial(predict, flown.plan)
+            model, self._request.vehicle, self._effects, partial(predict, flown.plan)
         )
         if feedforward is not None:
             self._files.write(FEEDFORWARD_NAME, feedforward.to_bytes())
@@ -262,7 +261,6 @@ class _Demo:
             applied=applied,
             no_new_plan=no_new_plan or None,
             no_applied=no_applied or None,
-            voltage_ratio=None if applied is None else ratio,
         )
 
     def _plan_again(

@@ -45,7 +45,7 @@ class _SettingGroup:
     fine: int
     x0: Annotated[np.ndarray, "states flights"]
     drive: Annotated[np.ndarray, "stages 22 flights"]
-    constants: Annotated[np.ndarray, "16 flights"]
+    constants: Annotated[np.ndarray, "15 flights"]
 
 
 class ClosedLoop:
@@ -176,7 +176,7 @@ class ClosedLoop:
 
 
 def _drive(states: States, stages: np.ndarray) -> np.ndarray:
-    """Return the drive (n, 22) of phi at times (n,) in s since the start of the reference.
+    """Return the drive (n, 23) of phi at times (n,) in s since the start of the reference.
 
     After its end the reference is held.
     """

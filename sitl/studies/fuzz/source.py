@@ -13,7 +13,7 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.route import list_routes
 from trimtab.host.vehicle import Vehicle, list_vehicles, load_vehicle
-from trimtab.protocol.blobs import BLOCK_SIZE, NEUTRAL_BLOCK, FeedForward, Node, Reference, YawNode
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Node, Reference, TrainedRegion, YawNode
 from trimtab.sitl.vehicle import Setting, SimulatedVehicle
 from trimtab.sitl.world import list_worlds
 
@@ -116,9 +116,11 @@ def record() -> Source:
     feedforward = FeedForward(
         vehicle_id=vehicle.id,
         model_id="0123456789ab",
-        block=(1.02, *NEUTRAL_BLOCK[1 : BLOCK_SIZE - 1], 0.004),
+        block=(1.02, *NEUTRAL_BLOCK[1:12], 0.004, 0.5, -0.2, 0.0, 1.8),
         layers=(4,),
-        weights=(0.01,) * (7 * 4 + 5 * 3),
+        weights=(0.01,) * (4 * 4 + 5 * 3),
+        frame="body",
+        region=TrainedRegion(3.0, 0.5, 5.0, 16.0),
     )
     tapped = _Tapped.create(vehicle, world="empty")
     with tempfile.TemporaryDirectory() as folder:

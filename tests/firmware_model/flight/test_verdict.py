@@ -8,10 +8,9 @@ import pytest
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.verdict import Reason, check_blob
-from trimtab.protocol.blobs import FeedForward, Kind, Node, Reference
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Kind, Node, Reference, TrainedRegion
 
 VEHICLE_ID = "0123456789ab"
-BLOCK = (1.0, *(0.0,) * 12)
 
 
 def verdict(kind, data, battery_v=0.0, **parameters):
@@ -20,7 +19,7 @@ def verdict(kind, data, battery_v=0.0, **parameters):
 
 
 def feedforward(**changes):
-    block = list(BLOCK)
+    block = list(NEUTRAL_BLOCK)
     for place, value in changes.items():
         block[int(place[1:])] = value
     return FeedForward(vehicle_id=VEHICLE_ID, model_id="00112233aabb", block=tuple(block)).to_bytes()
@@ -95,12 +94,41 @@ def test_blob_of_another_vehicle_or_kind_is_refused(make_blob):
         ({"_10": 0.3}, False),
         ({"_12": 0.02}, True),
         ({"_12": 0.5}, False),
+        ({"_14": -14.0}, True),
+        ({"_15": 16.0}, False),
+        ({"_16": 2.0}, True),
+        ({"_16": -6.0}, False),
     ],
 )
 def test_feedforward_is_bounded(changes, ok):
     found = verdict(Kind.FEEDFORWARD, feedforward(**changes))
     assert found.ok is ok
     assert found.reason == (0 if ok else Reason.FEEDFORWARD_RANGE)
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_network_is_bounded_within_its_region(frame):
+    # out = (slope v_x, 0, 0) in a hidden unit that is almost linear, bounded by tanh at 10 m/s^2.
+    inputs = 6 if frame == "world" else 3
+
+    def network(slope, region):
+        weights = (0.1 * slope, *(0.0,) * inputs, 10.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+        blob = FeedForward(
+            vehicle_id=VEHICLE_ID,
+            model_id="00112233aabb",
+            layers=(1,),
+            weights=weights,
+            frame=frame,
+            region=region,
+        )
+        return verdict(Kind.FEEDFORWARD, blob.to_bytes())
+
+    slow = TrainedRegion(2.0, 0.3, 5.0, 15.0)
+    assert network(-1.0, slow).ok
+    found = network(-1.0, slow._replace(speed_max_m_s=8.0))
+    assert (found.ok, found.reason, found.bound) == (False, Reason.FEEDFORWARD_RANGE, 5.0)
+    assert found.value == pytest.approx(10.0 * math.tanh(0.8), rel=1e-6)
+    assert not network(-1.0, None).ok
 
 
 def test_damaged_blobs_never_raise(make_blob):

@@ -62,6 +62,10 @@ def _unit(rng, size, lanes):
     return x / np.linalg.norm(x, axis=0)
 
 
+_REGIONS = ((2.0, 15.0), (0.3, 2.0), (0.0, 8.0), (12.0, 40.0))
+"""Ranges of the bounds of the region; many random states are beyond them."""
+
+
 def _random_steps(seed, lanes):
     """Inputs of the step by block name, arrays (size, lanes): half near a reference, half anywhere."""
     rng = np.random.default_rng(seed)
@@ -92,6 +96,8 @@ def _random_steps(seed, lanes):
     block[1:12] += rng.uniform(-0.3, 0.5, (11, lanes))
     block[feedforward.GAIN] = rng.uniform(0.8, 1.2, lanes)
     block[feedforward.PREDICTION_TIME] = rng.uniform(0, 0.02, lanes)
+    block[feedforward.WIND] = normal(3, 2.0)
+    block[feedforward.REGION] = np.vstack([rng.uniform(low, high, lanes) for low, high in _REGIONS])
     table = law.parameter_vector(DEFAULTS)
     parameters = np.tile(np.array(table)[:, None], lanes) * rng.uniform(0.9, 1.1, (1, lanes))
     allocation = slice(law.PARAMETERS.index("ALLOCATION_0"), None)
@@ -127,6 +133,7 @@ def _random_steps(seed, lanes):
         ),
         "feedforward": block,
         "ff_accel_ned": normal(3, 2.0),
+        "ff_jerk_ned": normal(3, 5.0),
         "parameters": parameters,
     }
 

@@ -20,6 +20,7 @@ from trimtab.protocol.parameters import DEFAULTS
 LANES = 10_000
 PARAMETERS = law.parameter_vector(DEFAULTS)
 NETWORK = (8, 8)
+REGION = (6.0, 1.2, 7.0, 12.0)
 
 
 def _attitude(ops, rpy):
@@ -92,11 +93,15 @@ PIECES = {
     "command_to_thrust": (lambda ops, u: [allocation.command_to_thrust(u[0], 8.5, 0.2, 0.8)], ((1, 1.0),)),
     "feedforward": (
         lambda ops, b, v, e: feedforward.specific_force_ned(ops, b, v, _attitude(ops, e)),
-        ((13, 0.5), (3, 9.0), (3, 3.0)),
+        ((feedforward.FF_SIZE, 0.5), (3, 9.0), (3, 3.0)),
     ),
     "feedforward_rate": (
         lambda ops, b, v, a, w, e: feedforward.specific_force_rate_ned(ops, b, v, a, w, _attitude(ops, e)),
-        ((13, 0.5), (3, 9.0), (3, 9.0), (3, 6.0), (3, 3.0)),
+        ((feedforward.FF_SIZE, 0.5), (3, 9.0), (3, 9.0), (3, 6.0), (3, 3.0)),
+    ),
+    "fade_weight": (
+        lambda ops, v, e, t: [feedforward.fade_weight(ops, REGION, v, _attitude(ops, e), 9.8 + t[0])],
+        ((3, 9.0), (3, 3.0), (1, 5.0)),
     ),
     "network": (
         lambda ops, w, v, e: feedforward.network(ops, w, NETWORK, v, e),

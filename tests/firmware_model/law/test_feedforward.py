@@ -23,8 +23,21 @@ def _block(**parts):
 
 
 def test_block_layout_is_the_blobs():
-    assert ff.FF_SIZE == len(ff.NEUTRAL) == blobs.BLOCK_SIZE
-    assert ff.NEUTRAL == blobs.NEUTRAL_BLOCK
+    assert ff.FF_SIZE == len(ff.NEUTRAL) == blobs.BLOCK_SIZE + len(blobs.TrainedRegion._fields)
+    assert (*blobs.NEUTRAL_BLOCK, *ff.OPEN_REGION) == ff.NEUTRAL
+    for name, where in (
+        ("gain", slice(ff.GAIN, ff.GAIN + 1)),
+        ("bias_ned", ff.BIAS),
+        ("linear_drag", ff.LINEAR),
+        ("quadratic_drag", ff.QUADRATIC),
+        ("attitude_offset", ff.ATTITUDE_OFFSET),
+        ("prediction_time_s", slice(ff.PREDICTION_TIME, ff.PREDICTION_TIME + 1)),
+        ("wind_ned", ff.WIND),
+        ("voltage_exponent", slice(ff.VOLTAGE_EXPONENT, ff.VOLTAGE_EXPONENT + 1)),
+    ):
+        names = [field for field, _ in blobs.BLOCK_FIELDS]
+        start = sum(size for _, size in blobs.BLOCK_FIELDS[: names.index(name)])
+        assert (where.start, where.stop) == (start, start + dict(blobs.BLOCK_FIELDS)[name])
 
 
 def test_specific_force_of_the_neutral_block_is_nothing():
@@ -44,6 +57,68 @@ def test_specific_force_of_a_bias_is_the_bias_whatever_the_attitude():
     R = euler_to_matrix(FLOAT, (0.4, -0.5, 2.0))
     force = ff.specific_force_ned(FLOAT, _block(BIAS=(0.1, 0.2, 0.3)), (5.0, 1.0, 0.0), R)
     assert force == pytest.approx((0.1, 0.2, 0.3))
+
+
+def test_specific_force_of_drag_vanishes_at_the_velocity_of_the_air():
+    block = _block(LINEAR=(0.5, 0.3, 0.1), QUADRATIC=(0.02, 0.1, 0.0), WIND=(2.0, -1.0, 0.5))
+    R = euler_to_matrix(FLOAT, (0.4, -0.5, 2.0))
+    assert ff.specific_force_ned(FLOAT, block, (2.0, -1.0, 0.5), R) == pytest.approx((0.0,) * 3, abs=1e-12)
+    still = ff.specific_force_ned(
+        FLOAT, _block(LINEAR=(0.5, 0.3, 0.1), QUADRATIC=(0.02, 0.1, 0.0)), (1.0, 1.0, -0.5), R
+    )
+    assert ff.specific_force_ned(FLOAT, block, (3.0, 0.0, 0.0), R) == pytest.approx(still)
+
+
+REGION = (4.0, 0.5, 7.0, 13.0)
+
+
+@pytest.mark.parametrize(
+    ("v", "tilt", "thrust", "weight"),
+    [
+        ((4.0, 0.0, 0.0), 0.0, 9.8, 1.0),
+        ((0.0, 4.5, 0.0), 0.0, 9.8, 0.5),
+        ((0.0, 0.0, 5.0), 0.0, 9.8, 0.0),
+        ((0.0, 0.0, 0.0), 0.499, 9.8, 1.0),
+        ((0.0, 0.0, 0.0), 0.5625, 9.8, 0.5),
+        ((0.0, 0.0, 0.0), 0.7, 9.8, 0.0),
+        ((0.0, 0.0, 0.0), 0.0, 7.0 - 0.5 * 0.25 * 7.0, 0.5),
+        ((0.0, 0.0, 0.0), 0.0, 13.0 + 0.5 * 0.25 * 13.0, 0.5),
+        ((0.0, 4.5, 0.0), 0.5625, 9.8, 0.25),
+    ],
+)
+def test_weight_fades_over_a_quarter_of_each_bound(v, tilt, thrust, weight):
+    for roll, pitch in ((tilt, 0.0), (0.0, -tilt)):
+        R = euler_to_matrix(FLOAT, (roll, pitch, 1.0))
+        assert ff.fade_weight(FLOAT, REGION, v, R, thrust) == pytest.approx(weight, abs=1e-6)
+
+
+def test_weight_without_bounds_is_exactly_one():
+    R = euler_to_matrix(FLOAT, (3.0, 0.2, 1.0))
+    assert ff.fade_weight(FLOAT, ff.OPEN_REGION, (1e3, 0.0, 0.0), R, 0.0) == 1.0
+
+
+@pytest.mark.parametrize("body_frame", [False, True])
+def test_network_derivative_matches_finite_differences(body_frame):
+    rng = np.random.default_rng(6)
+    layers = (7, 5)
+    weights = rng.normal(size=ff.weight_count(layers, 3 if body_frame else 6)).tolist()
+    for _ in range(20):
+        v, a, rate = rng.normal(size=3) * 3, rng.normal(size=3) * 8, rng.normal(size=3) * 4
+        q = quat_exp(FLOAT, tuple(0.4 * rng.normal(size=3)))
+
+        def residual(dt, v=v, a=a, rate=rate, q=q):
+            R = quat_to_matrix(FLOAT, quat_multiply(q, quat_exp(FLOAT, tuple(dt * rate))))
+            motion = ff.FlatMotion(tuple(v + dt * a), tuple(a), R, tuple(rate))
+            return ff.network_residual(FLOAT, weights, layers, motion, body_frame=body_frame)
+
+        h = 1e-5
+        slope = (np.array(residual(h).accel_ned) - np.array(residual(-h).accel_ned)) / (2.0 * h)
+        assert np.allclose(slope, residual(0.0).jerk_ned, atol=1e-5, rtol=1e-5)
+
+
+def test_gain_is_unchanged_to_the_bit_without_an_exponent():
+    assert ff.gain_at_voltage(FLOAT, 0.93, 0.0, 0.87) == 0.93
+    assert ff.gain_at_voltage(FLOAT, 0.93, 1.7, 0.87) == pytest.approx(0.93 * 0.87**1.7)
 
 
 def test_specific_force_rate_matches_finite_differences():

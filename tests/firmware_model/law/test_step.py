@@ -10,7 +10,7 @@ import pytest
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.allocation import allocation_matrix, command_to_thrust
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.feedforward import GAIN, NEUTRAL, PREDICTION_TIME
+from trimtab.firmware_model.law.feedforward import ATTITUDE_OFFSET, BIAS, GAIN, NEUTRAL, PREDICTION_TIME, WIND
 from trimtab.firmware_model.law.flatness import flat_attitude
 from trimtab.firmware_model.law.observer import DISTURBANCE_MAX
 from trimtab.firmware_model.law.ops import FLOAT
@@ -19,6 +19,7 @@ from trimtab.firmware_model.law.rotations import (
     mat_t_vec,
     mat_vec,
     quat_exp,
+    quat_from_euler,
     quat_multiply,
     quat_normalize,
     quat_to_matrix,
@@ -52,6 +53,7 @@ def _hover_inputs(**changes):
         "offboard": law.NO_OFFBOARD,
         "feedforward": NEUTRAL,
         "ff_accel_ned": (0.0, 0.0, 0.0),
+        "ff_jerk_ned": (0.0, 0.0, 0.0),
         "parameters": PARAMETERS,
     }
     inputs.update(changes)
@@ -175,11 +177,13 @@ def test_step_in_a_turned_world_gives_the_same_commands(random_steps):
     memory[law.OBSERVER] = turn(memory[law.OBSERVER])
     memory[law.EST_Q] = quat_multiply(half, tuple(memory[law.EST_Q]))
     turned["mocap_p"], turned["ff_accel_ned"] = turn(inputs["mocap_p"]), turn(inputs["ff_accel_ned"])
+    turned["ff_jerk_ned"] = turn(inputs["ff_jerk_ned"])
     turned["mocap_q"] = np.array(quat_multiply(half, inputs["mocap_q"]))
     turned["piece"][1:] = turn_all(inputs["piece"][1:])
     turned["yaw_piece"][1] += angle
     turned["offboard"][6:10] = quat_multiply(half, inputs["offboard"][6:10])
-    turned["feedforward"][1:4] = turn(inputs["feedforward"][1:4])
+    for vector in (BIAS, WIND):
+        turned["feedforward"][vector] = turn(inputs["feedforward"][vector])
 
     one, other = (law.step(NUMPY, {k: list(v) for k, v in x.items()}) for x in (inputs, turned))
     for name in ("motor_command", "collective_n", "torque", "rate_cmd", "cos_tilt", "saturated"):
@@ -274,6 +278,36 @@ def test_closed_loop_with_drag_follows_better_with_its_observer():
     still = _Flight(observer=5.0)
     still.worst_of_last_second()
     assert np.abs(still.memory[law.OBSERVER]).max() < 0.1
+
+
+def test_closed_loop_observer_sees_only_what_the_feedforward_leaves():
+    """Neural DO of paper section VI-D: of a drag of 0.4 1/s, 0.3 is fed forward; the observer gets 0.1."""
+    block = list(NEUTRAL)
+    block[4:7] = [0.3, 0.3, 0.3]
+    both = _Flight(drag=0.4, feedforward=block, observer=5.0)
+    fed, observed = _Flight(drag=0.4, feedforward=block), _Flight(drag=0.4, observer=5.0)
+    worst = both.worst_of_last_second()
+    assert worst < 0.8 * min(fed.worst_of_last_second(), observed.worst_of_last_second())
+    seen = np.array(both.memory[law.OBSERVER])
+    assert math.dist(seen, -0.1 * both.v) < 0.06 * np.linalg.norm(both.v)
+
+
+def test_observer_takes_the_attitude_offset_for_misalignment_and_not_for_a_disturbance():
+    roll, pitch = 0.02, -0.03
+    q = quat_from_euler(FLOAT, roll, pitch, 0.0)  # what the poses show while thrust points straight up
+    memory = list(law.initial_memory((0.0, 0.0, -1.0), q))
+    memory[law.OBSERVER_THRUST] = [TABLE["MASS"] * GRAVITY]
+    block = list(NEUTRAL)
+    parameters = law.parameter_vector({**TABLE, "OBS_GAIN": 50.0})
+    force = mat_t_vec(quat_to_matrix(FLOAT, q), (0.0, 0.0, -GRAVITY))  # leaves the estimated velocity at rest
+
+    def observed():
+        inputs = _hover_inputs(memory=memory, parameters=parameters, feedforward=block, specific_force=force)
+        return law.step(FLOAT, inputs)["memory"][law.OBSERVER]
+
+    assert math.hypot(*observed()[:2]) > 0.01
+    block[ATTITUDE_OFFSET] = (roll, pitch)
+    assert math.hypot(*observed()[:2]) < 0.001
 
 
 def test_step_without_observer_gain_is_the_same_whether_it_observes_or_not(random_steps):

@@ -9,6 +9,7 @@ import pytest
 
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.verdict import Reason
+from trimtab.firmware_model.law.feedforward import OPEN_REGION
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import FeedForward, Kind, Node, Reference
 from trimtab.protocol.codec import Codec
@@ -452,9 +453,9 @@ def test_power_cycle_with_stricter_limits_refuses_what_is_live(make_session, mak
 def test_feedforward_reaches_the_law_and_an_absurd_one_does_not(make_session):
     session = make_session()
     model_id = "00112233aabb"
-    block = (1.05, *(0.0,) * 3, 0.4, 0.4, 0.0, *(0.0,) * 3, 0.0, 0.0, 0.004)
+    block = (1.05, *(0.0,) * 3, 0.4, 0.4, 0.0, *(0.0,) * 3, 0.0, 0.0, 0.004, 1.0, -2.0, 0.0, 1.5)
     session.put(FeedForward(vehicle_id=VEHICLE_ID, model_id=model_id, block=block))
-    assert list(session.engine.inputs["feedforward"]) == [float32(x) for x in block]
+    assert list(session.engine.inputs["feedforward"]) == [*(float32(x) for x in block), *OPEN_REGION]
     absurd = FeedForward(vehicle_id=VEHICLE_ID, model_id=model_id, block=(9.0, *block[1:]))
     sender = session.put(absurd)
     assert sender.verdict is not None

@@ -150,16 +150,20 @@ def test_compose_feedforward_gain_and_mass_multiply_and_drag_adds():
     )
     assert block["gain"] == pytest.approx(0.72)
     assert block["linear_drag"] == (0.4, 0.3, 0.2)
-    assert block["bias_ned"] == pytest.approx((0.7, 0.0, 0.0))
+    assert block["wind_ned"] == (2.0, 0.0, 0.0)
     assert block["prediction_time_s"] == 0.015
 
 
-def test_compose_feedforward_puts_the_sag_at_the_expected_voltage_into_the_gain():
+def test_compose_feedforward_leaves_the_sag_to_the_voltage_on_board():
     parts = [(EFFECTS["thrust-gain"], (1.1,)), (EFFECTS["battery-sag"], (2.0,))]
-    assert compose_feedforward(parts, 0.9)["gain"] == pytest.approx(1.1 * 0.81)
-    assert compose_feedforward(parts)["gain"] == pytest.approx(1.1)
-    with pytest.raises(ValueError, match="voltage ratio must be positive"):
-        compose_feedforward(parts, 0.0)
+    block = compose_feedforward(parts)
+    assert (block["gain"], block["voltage_exponent"]) == (1.1, 2.0)
+
+
+def test_compose_feedforward_of_an_unknown_entry_names_effect_and_entry():
+    wrong = replace(EFFECTS["mass"], to_feedforward=lambda theta: {"lift": 1.0})
+    with pytest.raises(ValueError, match="effect mass: the feed-forward block has no 'lift'"):
+        compose_feedforward([(wrong, (1.1,))])
 
 
 def test_compose_feedforward_nothing_is_the_neutral_block():
@@ -170,4 +174,6 @@ def test_compose_feedforward_nothing_is_the_neutral_block():
         "quadratic_drag": (0.0, 0.0, 0.0),
         "attitude_offset": (0.0, 0.0),
         "prediction_time_s": 0.0,
+        "wind_ned": (0.0, 0.0, 0.0),
+        "voltage_exponent": 0.0,
     }

@@ -16,6 +16,7 @@ from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.drive import FlightConstants
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import flat_outputs
 from trimtab.host.models.states import flight_states
@@ -151,7 +152,7 @@ def test_flight_states_follow_the_reference_and_hover_thrust(flight):
     assert np.sqrt(np.square(states.x[:, 3:6] - reference[3:6].T).mean()) < 0.05
     np.testing.assert_allclose(states.x[:, 8], reference[12], atol=0.1)
     assert states.thrust[:20].sum(axis=1).mean() == pytest.approx(0.752 * 9.81, rel=0.03)
-    assert 0.005 < states.constants[4] < 0.04
+    assert 0.005 < FlightConstants(*states.constants).mocap_age_s < 0.04
     np.testing.assert_array_equal(states.voltage_ratio.round(2), np.ones(len(states.t_s)))
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -10,12 +11,16 @@ import pytest
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
 from trimtab.host.models.file import ModelFileError, read_model, write_model
-from trimtab.host.models.model import Covariance, Model
+from trimtab.host.models.model import Assessment, Covariance, Model, VerdictCode
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.models.region import Region
+from trimtab.host.trace.decision.findings import Verdict
 from trimtab.host.vehicle.strict_toml import ConfigurationError
 
 LAYOUT = Layout(hidden=(4, 4))
+ASSESSMENT = Assessment(
+    verdict="traced", probabilities={"linear-drag": 0.998}, held_out_flights=2, before_m=0.08, after_m=0.01
+)
 
 
 def model(**changes) -> Model:
@@ -31,6 +36,7 @@ def model(**changes) -> Model:
         "network": Network(layout=LAYOUT, xi=LAYOUT.initial(np.random.default_rng(0))),
         "region": Region(speed_max_m_s=4.0, tilt_max_deg=35.0, thrust_min_n=4.0, thrust_max_n=12.0),
         "data": ("aaaaaaaaaaaa", "bbbbbbbbbbbb"),
+        "assessment": ASSESSMENT,
         "provenance": {"command": "trimtab learn a.mcap", "seed": 3, "git": None, "parents": {"log": "ab"}},
     }
     return Model(**{**values, **changes})
@@ -42,11 +48,45 @@ def test_model_file_round_trip_is_equal(tmp_path):
     assert again.id == model().id
     assert again.content() == model().content()
     assert again.provenance == {"command": "trimtab learn a.mcap", "seed": 3, "parents": {"log": "ab"}}
+    assert again.assessment == ASSESSMENT
     assert again.network is not None
     np.testing.assert_array_equal(again.network.xi, LAYOUT.initial(np.random.default_rng(0)))
     assert again.sd("linear-drag", "dx") == pytest.approx(0.01)
     assert again.sd("linear-drag", "dy") is None
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["m.model.npz", "m.model.toml"]
+
+
+def test_model_file_without_an_assessment_keeps_its_id(tmp_path):
+    """Files that were written before models had one."""
+    plain = model(assessment=None)
+    assert "assessment" not in plain.content()
+    assert read_model(write_model(plain, tmp_path / "m.model.toml")).assessment is None
+    assert plain.id != model().id
+
+
+def test_verdicts_of_model_files_are_those_of_a_trace_and_learned():
+    assert set(get_args(VerdictCode)) == {verdict.value for verdict in Verdict} | {"learned"}
+
+
+def test_assessment_leaves_out_errors_of_diverging_predictions():
+    made = model().assessed("undecided", probabilities={"wind": 0.4}, flights=2, before_m=0.1, after_m=np.inf)
+    assert made.assessment == Assessment(
+        verdict="undecided", probabilities={"wind": 0.4}, held_out_flights=2, before_m=0.1
+    )
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"verdict": "sure"}, "verdict 'sure' is not one of"),
+        ({"probabilities": {"wind": 1.2}}, "probability of wind is 1.2"),
+        ({"held_out_flights": 0}, "need held-out flights"),
+        ({"after_m": float("nan")}, "must be finite"),
+    ],
+)
+def test_assessment_bad_values_are_refused(changes, message):
+    with pytest.raises(ValueError, match=message):
+        dataclasses.replace(ASSESSMENT, **changes)
 
 
 def test_model_file_same_model_same_bytes(tmp_path):

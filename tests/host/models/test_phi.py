@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -10,13 +11,20 @@ import pytest
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import load_effects
-from trimtab.host.models.drive import DRIVE_ROWS, flight_constants
+from trimtab.host.models.drive import (
+    DRIVE_ROWS,
+    ESTIMATED_THETA,
+    FF_GAIN,
+    VOLTAGE_AND_TIME,
+    flight_constants,
+)
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.models.phi import Phi
+from trimtab.host.models.reference import block as block_of
 from trimtab.host.models.reference import feedforward_rows, flat_outputs
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.vehicle import to_parameters
-from trimtab.protocol.blobs import FeedForward
+from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward
 
 EFFECTS = load_effects()
 DRAG = (EFFECTS["linear-drag"], (0.4, 0.35, 0.2))
@@ -27,7 +35,7 @@ def predict(phi, reference, parts=(), *, step_s=0.01, every=1, feedforward=None,
     steps = round(reference.duration_us * 1e-6 / step_s)
     drive = reference_drive(reference, half_steps(0.0, steps, step_s), feedforward=feedforward)
     start = flat_outputs(reference, np.zeros(1))[:, 0]
-    block = None if feedforward is None else feedforward.block
+    block = None if feedforward is None else block_of(feedforward)
     states = roll_out(
         phi,
         x0=phi.hover(start[0:3], start[12])[:, None],
@@ -103,7 +111,7 @@ def test_phi_with_observer_has_its_states_at_the_end_and_without_is_unchanged(ve
     x = on.hover((0.0, 0.0, -1.0), 0.0)
     x[on.observer][:3] = (0.0, 0.0, 20.0)  # stands at its bound while what is seen would push it on
     drive = np.zeros(DRIVE_ROWS["reference"])
-    drive[2], drive[20] = -1.0, 1.0
+    drive[2], drive[FF_GAIN], drive[VOLTAGE_AND_TIME.start] = -1.0, 1.0, 1.0
     x[on.observer.stop - 1] = 30.0
     xdot = np.array(on.function(x, drive, flight_constants(), [], np.zeros(3))).ravel()
     np.testing.assert_allclose(xdot[on.observer][:2], 0.0, atol=1e-9)
@@ -137,7 +145,7 @@ def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
     reference = make_reference()
     late = (EFFECTS["mocap-latency"], (0.02,))
     phi = Phi(vehicle=vehicle, effects=(late[0],))
-    block = list(law_feedforward.NEUTRAL)
+    block = list(NEUTRAL_BLOCK)
     block[law_feedforward.PREDICTION_TIME] = 0.02
     corrected = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=tuple(block))
     nominal = predict(phi, reference)
@@ -147,11 +155,11 @@ def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
 
 def test_phi_feedforward_of_the_true_drag_brings_the_flight_back(vehicle, make_reference, fly_sampled):
     reference = make_reference()
-    block = list(law_feedforward.NEUTRAL)
+    block = list(NEUTRAL_BLOCK)
     block[law_feedforward.LINEAR] = DRAG[1]
     fed = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=tuple(block))
     phi = Phi(vehicle=vehicle, effects=(DRAG[0],))
-    flown = fly_sampled(reference, (DRAG,), feedforward=fed.block)
+    flown = fly_sampled(reference, (DRAG,), feedforward=block_of(fed))
     predicted = predict(phi, reference, (DRAG,), feedforward=fed, mocap_age_s=0.012, mocap_interval_s=0.01)
     assert rmse(predicted, flown) < 0.1e-3
     nominal = predict(phi, reference)
@@ -189,7 +197,8 @@ def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
     bound.inputs["x"][:] = 0.05 * rng.standard_normal((phi.size, 3))
     bound.inputs["x"][12:16] += 1.9
     bound.inputs["drive"][:14] = start
-    bound.inputs["drive"][20] = 0.95
+    bound.inputs["drive"][FF_GAIN] = 1.1
+    bound.inputs["drive"][VOLTAGE_AND_TIME.start] = 0.95
     bound.inputs["flight"][:] = flight_constants(mocap_age_s=0.01)[:, None]
     bound.inputs["theta"][:] = phi.theta_neutral[:, None] * 1.01 + 0.001
     bound()
@@ -230,7 +239,7 @@ def test_phi_estimate_drive_retraces_the_observer_of_a_reference_driven_flight(v
     assert np.ptp(again[:, 0]) > 0.3
     # It observes with the attitude that is fed: nose up by 0.02 rad more, thrust ought to pull south.
     pitched = fed.copy()
-    pitched[:, 29] += 0.02
+    pitched[:, ESTIMATED_THETA.start + 1] += 0.02
     expected = 9.81 * 0.02 * (1.0 - np.exp(-4.0 * 0.1))
     assert (observed(pitched) - again)[20, 0] == pytest.approx(expected, rel=0.3)
 
@@ -376,7 +385,8 @@ def test_feedforward_rows_of_a_network_are_its_output_at_the_flat_attitude(vehic
     layout = Layout(hidden=(4,))
     xi = layout.initial(np.random.default_rng(2)) * 5.0
     fed = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, layers=(4,), weights=tuple(xi))
-    flat = flat_outputs(reference, np.linspace(0.5, 5.0, 20))
+    times = np.linspace(0.5, 5.0, 20)
+    flat = flat_outputs(reference, times)
     rows = feedforward_rows(flat, fed)
     f = np.array([[0.0], [0.0], [9.81]]) - flat[6:9]
     yaw = flat[12]
@@ -387,4 +397,7 @@ def test_feedforward_rows_of_a_network_are_its_output_at_the_flat_attitude(vehic
     weights = np.array(fed.weights)
     expected = layout.arrays(weights, np.concatenate([flat[3:6], [roll], [pitch], [yaw]]))
     np.testing.assert_allclose(rows[:3], expected, atol=1e-9)
-    assert not rows[3:].any()
+    assert not feedforward_rows(flat, replace(fed, version=1))[3:].any()
+    h = 1e-5
+    ahead, behind = (feedforward_rows(flat_outputs(reference, times + dt), fed) for dt in (h, -h))
+    np.testing.assert_allclose(rows[3:], (ahead[:3] - behind[:3]) / (2.0 * h), atol=1e-4)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.effects import load_effects
-from trimtab.host.models.drive import flight_constants
+from trimtab.host.models.drive import DRIVE_ROWS, FF_GAIN, VOLTAGE_AND_TIME, flight_constants
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.vehicle import load_vehicle
@@ -20,9 +20,9 @@ def test_roll_out_compiled_or_not_has_the_same_bits(monkeypatch, require, every)
     phi, other = (Phi(vehicle=load_vehicle("research"), effects=chosen) for _ in range(2))
     rng = np.random.default_rng(3)
     flights, lanes, steps = 2, 5, 40
-    drive = np.zeros((2 * steps + 1, 22, flights))
+    drive = np.zeros((2 * steps + 1, DRIVE_ROWS["reference"], flights))
     drive[:, 0] = 0.2 * np.sin(np.linspace(0.0, 3.0, 2 * steps + 1))[:, None] * [1.0, -0.5]
-    drive[:, 2], drive[:, 20] = -1.0, 1.0
+    drive[:, 2], drive[:, FF_GAIN], drive[:, VOLTAGE_AND_TIME.start] = -1.0, 1.0, 1.0
     x0 = phi.hover((0.0, 0.0, -1.0), 0.3)[:, None] + 1e-3 * rng.standard_normal((phi.size, lanes))
     given = {
         "x0": x0,

@@ -48,7 +48,7 @@ class Flights:
     x: np.ndarray
 
     def drives(self, step_s: float, *, late_s: float = 0.0) -> np.ndarray:
-        """Return the drive (F, 2 m + 1, 22) at starts, middles and ends of the steps of the whole flight.
+        """Return the drive (F, 2 m + 1, 23) at starts, middles and ends of the steps of the whole flight.
 
         The reference is delayed by `late_s`.
         """
@@ -132,7 +132,7 @@ def fly(phi: Phi, theta: np.ndarray, references: tuple[Reference, ...]) -> Fligh
 def accelerations(
     phi: Phi, theta: np.ndarray, network: Network | None, x: np.ndarray, drive: np.ndarray
 ) -> np.ndarray:
-    """Return accelerations (F, n, 3), NED, of phi and a network at states (F, n, size), drive (F, n, 22)."""
+    """Return accelerations (F, n, 3), NED, of phi and a network at states (F, n, size), drive (F, n, 23)."""
     flat, rows = x.reshape(-1, phi.size).T, drive.reshape(-1, drive.shape[2]).T
     residual = np.zeros((3, flat.shape[1]))
     if network is not None:

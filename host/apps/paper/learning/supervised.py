@@ -22,7 +22,7 @@ from trimtab.host.models.phi import Phi
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Labelled:
-    """Nodes (S, n) with phi's state (S, n, size), drive (S, n, 22) and acceleration (S, n, 3), NED."""
+    """Nodes (S, n) with phi's state (S, n, size), drive (S, n, 23) and acceleration (S, n, 3), NED."""
 
     states: np.ndarray
     drive: np.ndarray

@@ -14,6 +14,7 @@ from trimtab.host.apps.bench import peers
 from trimtab.host.apps.paper.learning.flights import make_flights
 from trimtab.host.apps.paper.learning.methods import WEIGHT, WORLD, exact_segments, phi_of
 from trimtab.host.learn.adjoint import Gradient, Rollouts
+from trimtab.host.models.drive import FF_GAIN
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
@@ -48,11 +49,11 @@ def drawn(phi: Phi, rng: np.random.Generator) -> tuple[np.ndarray, np.ndarray, n
         rng.choice([-1.0, 1.0], (STATES, 3)),
         rng.uniform(-1.2, 1.2, (STATES, 3)),
     )
-    scale = [1.0] * 6 + [8.0] * 6 + [2.0, 1.0] + [1.0] * 6 + [0.05, 5.0]
-    drive = wild * rng.standard_normal((STATES, 22)) * scale
-    constants = 0.1 * rng.standard_normal((STATES, 16))
-    constants[:, 0] += 1.0
-    constants[:, 3:7] = 0.03 * rng.random((STATES, 4))
+    scale = [1.0] * 6 + [8.0] * 6 + [2.0, 1.0] + [1.0] * 6 + [0.1, 0.05, 5.0]
+    drive = wild * rng.standard_normal((STATES, 23)) * scale
+    drive[:, FF_GAIN] += 1.0
+    constants = 0.1 * rng.standard_normal((STATES, 15))
+    constants[:, 2:6] = 0.03 * rng.random((STATES, 4))
     return x, drive, constants
 
 

@@ -70,7 +70,6 @@ def test_demo_without_drag_applies_the_thrust_at_the_battery_there_is_to_the_fir
     assert comparison.applied.planned is comparison.first[0].planned
     # The gain alone, without the sag, would more than double the error; the battery differs by flight.
     assert answer["tracking_rmse_applied_m"] < 0.8 * answer["tracking_rmse_first_m"]
-    assert 0.85 < answer["comparison"]["applied_at_voltage_ratio"] < 0.98
     assert outcome.failure is None
 
 

@@ -1,0 +1,147 @@
+"""Corrections: the feed-forward that compensates a model's effects and network on board."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+from trimtab.firmware_model.law.feedforward_range import Excess, out_of_range
+from trimtab.host.base import artefacts
+from trimtab.host.base.errors import UsageError
+from trimtab.host.effects import Effect, compose_feedforward
+from trimtab.host.models.model import Model
+from trimtab.host.models.reference import block as law_block
+from trimtab.host.models.region import Region
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import BLOCK_FIELDS, NEUTRAL_BLOCK, FeedForward, TrainedRegion
+
+SUFFIX = ".ff"
+_NETWORK = "network"
+_NETWORK_LAW = "its acceleration along the reference, and the derivative of it, are fed forward"
+_NO_TERM = "the feed-forward has no term for it"
+
+
+@dataclass(frozen=True, kw_only=True)
+class Correction:
+    """What of a model goes on board.
+
+    Attributes
+    ----------
+    feedforward
+        The feed-forward; None if nothing can be compensated.
+    corrected
+        How the law compensates, by effect or "network".
+    uncorrected
+        Why it cannot, by effect.
+    excess
+        First quantity out of the range that vehicles accept; None within it.
+    """
+
+    feedforward: FeedForward | None
+    corrected: Mapping[str, str]
+    uncorrected: Mapping[str, str]
+    excess: Excess | None
+
+    def to_json(self) -> dict[str, Any]:
+        """Return what is corrected, and what is not and why."""
+        return {"corrected": dict(self.corrected), "uncorrected": dict(self.uncorrected)}
+
+
+def correction(model: Model, vehicle: Vehicle, effects: Mapping[str, Effect]) -> Correction:
+    """Return the correction of a model's effects, adjustments and network for its vehicle.
+
+    Adjustments are corrected too: their values are the best estimates within the tolerances. Only named
+    effects are listed as uncorrected.
+
+    Raises ValueError for an effect that is not in the library, or a contribution that the block lacks.
+    """
+    parts = model.parts(effects)
+    numbers = compose_feedforward(parts)
+    block: list[float] = []
+    for name, size in BLOCK_FIELDS:
+        block += [numbers[name]] if size == 1 else list(numbers[name])
+    corrected, uncorrected = {}, {}
+    for effect, _ in parts:
+        if effect.closing.law is not None:
+            corrected[effect.name] = effect.closing.law
+        elif effect.name in model.effects:
+            uncorrected[effect.name] = effect.closing.no_law or _NO_TERM
+    network = model.network
+    if network is not None:
+        corrected[_NETWORK] = _NETWORK_LAW
+    if tuple(block) == NEUTRAL_BLOCK and network is None:
+        return Correction(feedforward=None, corrected={}, uncorrected=uncorrected, excess=None)
+    feedforward = FeedForward(
+        vehicle_id=vehicle.id,
+        model_id=model.id,
+        block=tuple(block),
+        layers=() if network is None else network.layout.hidden,
+        weights=() if network is None else tuple(network.xi.tolist()),
+        frame="world" if network is None else network.layout.frame,
+        region=None if model.region is None else _on_board(model.region, vehicle, numbers["gain"]),
+    )
+    excess = out_of_range(
+        law_block(feedforward),
+        feedforward.weights,
+        feedforward.layers,
+        body_frame=feedforward.frame == "body",
+    )
+    return Correction(feedforward=feedforward, corrected=corrected, uncorrected=uncorrected, excess=excess)
+
+
+def _on_board(region: Region, vehicle: Vehicle, gain: float) -> TrainedRegion:
+    """Return a region as the vehicle checks it.
+
+    A region has nominal thrusts; the vehicle compares the thrust over mass of the reference, which is larger
+    by the gain.
+    """
+    per_newton = gain / vehicle.mass_kg
+    return TrainedRegion(
+        region.speed_max_m_s,
+        math.radians(region.tilt_max_deg),
+        region.thrust_min_n * per_newton,
+        region.thrust_max_n * per_newton,
+    )
+
+
+def check_name(path: Path | str, force: bool = False) -> Path:
+    """Return the path, if a feed-forward may be written there. Raises UsageError."""
+    path = Path(path)
+    if path.suffix != SUFFIX:
+        raise UsageError(f"{path}: a feed-forward's name ends in {SUFFIX}")
+    artefacts.check_output(path, force)
+    artefacts.check_output(_beside(path), force)
+    return path
+
+
+def write_correction(
+    feedforward: FeedForward,
+    path: Path | str,
+    *,
+    contents: Correction,
+    provenance: Mapping[str, Any],
+    force: bool = False,
+) -> Path:
+    """Write the feed-forward, and `NAME.ff.json` with its contents and provenance; return its path.
+
+    Each file appears whole or not at all, the feed-forward last. Raises UsageError where a file exists and
+    `force` is not set.
+    """
+    path = check_name(path, force)
+    record = {
+        "feedforward": feedforward.id,
+        "vehicle": feedforward.vehicle_id,
+        "provenance": dict(provenance),
+        **contents.to_json(),
+    }
+    text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    artefacts.write_atomic(_beside(path), text, force)
+    return artefacts.write_atomic(path, feedforward.to_bytes(), force)
+
+
+def _beside(path: Path) -> Path:
+    return path.with_name(path.name + ".json")
