@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.apps.bench.naive import SOLVED, ipopt
+from trimtab.host.control.cost import COST
 from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, ControlModel
-from trimtab.host.control.sweeps import COST
 from trimtab.host.models.airframe import THETA
 
 Array = NDArray[np.float64]

@@ -13,11 +13,15 @@ from hypothesis import strategies as st
 
 from tests.host.control.examples import EFFECTS, NETWORK, VEHICLE, drag_model, reference, settings
 from tests.narrowing import not_none
+from trimtab.host.base.errors import UsageError
 from trimtab.host.control.closed_loop import DELAY_US, ControlledFlight, Plant, estimate_of, fly, hover_at
 from trimtab.host.control.dynamics import ControlModel
 from trimtab.host.control.interface import ControlStep, RateCommand, SolveStatus, StateEstimate
 from trimtab.host.control.mpc import Mpc
 from trimtab.host.models.airframe import P
+from trimtab.host.plan import plan
+from trimtab.host.route import load_route
+from trimtab.host.vehicle import load_vehicle
 
 NOMINAL = ControlModel.of(VEHICLE)
 DRAGGED = ControlModel.of(VEHICLE, None, drag_model(), EFFECTS)
@@ -193,8 +197,21 @@ def test_step_before_begin_raises() -> None:
 @pytest.mark.parametrize("name", ["mpc", "mpc-neural"])
 def test_model_must_go_with_the_settings(name: str) -> None:
     model = drag_model() if name == "mpc" else None
-    with pytest.raises(ValueError, match="residual"):
+    with pytest.raises(UsageError, match="residual"):
         Mpc(settings(name), VEHICLE, model=model, effects=EFFECTS)
+
+
+def test_model_of_another_vehicle_is_refused() -> None:
+    with pytest.raises(UsageError, match="vehicle"):
+        Mpc(settings("mpc-neural"), load_vehicle("nano"), model=drag_model(), effects=EFFECTS)
+
+
+def test_nominal_controller_flies_every_shipped_vehicle() -> None:
+    nano = load_vehicle("nano")
+    course = plan(load_route("hover-turns", None, nano), nano, stretch=True).reference
+    flown = fly(Mpc(settings(), nano), Plant(ControlModel.of(nano)), course)
+    assert {step.status for step in flown.steps} == {SolveStatus.SOLVED}
+    assert flown.error_m.max() < 0.01
 
 
 _NUMBER = st.floats(allow_nan=True, allow_infinity=True) | st.floats(-5.0, 5.0)
