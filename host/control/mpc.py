@@ -148,6 +148,7 @@ class Mpc:
     def _solve(self, x0: Array, targets: Array, act_us: int) -> ControlStep:
         """Return the step from the state at `act_us`, starting at the plan before."""
         settings = self.settings
+        x0 = x0.copy()
         x0[_YAW] += 2.0 * math.pi * round((targets[0, _YAW] - x0[_YAW]) / (2.0 * math.pi))
         start = self._shifted(self._guess, act_us) or self._solver.start(targets)
         solution = self._solver.solve(
