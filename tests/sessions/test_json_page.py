@@ -17,9 +17,9 @@ import pytest
 
 from tests.host.apps.paper.flight.made_up import made_up_world
 from trimtab.host import cli
+from trimtab.host.apps.bench import control, planning
 from trimtab.host.apps.bench import flown as bench_flown
 from trimtab.host.apps.bench import learning as bench
-from trimtab.host.apps.bench import planning
 from trimtab.host.apps.bench.session import realtime_factor
 from trimtab.host.apps.demo.compare import Comparison
 from trimtab.host.apps.paper.flight.summary import summary as flight_summary
@@ -362,4 +362,6 @@ def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(bench_flown, "flown", lambda *of, **how: {"courses": [course, refused]})
     compared = bench_flown.measure(vehicle, 1, size=bench_flown.Size(worlds=1, courses=2))
     session = {"realtime_factor": realtime_factor(vehicle)}
-    check("bench", {"learning": found, "planning": planned, "flown": compared, "session": session})
+    mpc = control.measure(vehicle, 1, size=control.Size(steps=100, courses=1, peer_problems=3))
+    answer = {"learning": found, "planning": planned, "flown": compared, "control": mpc, "session": session}
+    check("bench", answer)
