@@ -84,4 +84,4 @@ def feedforward_faded_s(flight: Flight) -> float | None:
         return None
     start_us, end_us = flight.tracking
     edges_us = np.clip(np.append(status.t_us, max(end_us, status.t_us[-1])), start_us, end_us)
-    return float(np.diff(edges_us)[status.feedforward_faded > 0].sum() * 1e-6)
+    return int(np.diff(edges_us)[status.feedforward_faded > 0].sum()) / 1e6

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from trimtab.host.report import calibrate, link, paper_learning, paper_planning, study
+from trimtab.host.report import calibrate, correction, link, paper_learning, paper_planning, study
 from trimtab.host.report.figures import Figure
 
 
@@ -28,6 +28,7 @@ class Reporter(Protocol):
 REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
+    "correction": correction,
     "link": link,
     "paper-learning": paper_learning,
     "paper-planning": paper_planning,
