@@ -1,7 +1,8 @@
-"""From a model file to a corrected flight, as a user does it: correct, upload, fly."""
+"""From a model file, or from another program's log, to a corrected flight, as a user does it."""
 
 from __future__ import annotations
 
+import csv
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -230,3 +231,55 @@ def test_fly_refuses_the_correction_of_another_vehicle(run: Run, tmp_path: Path)
     assert code == 2
     assert f"the feed-forward {other.id} was made for vehicle {other.vehicle_id}" in complaint
     assert complaint.count("\n") == 1
+
+
+POSE = (*(f"p_ned_m_{i}" for i in range(3)), *(f"q_ned_frd_{i}" for i in range(4)))
+CONTROL = (*(f"motor_mean_{i}" for i in range(4)), *(f"gyro_mean_rad_s_{i}" for i in range(3)))
+COLUMNS = f"""
+world = "ned"
+body = "frd"
+time = "t_us"
+time_unit = "us"
+position_m = {list(POSE[:3])}
+quaternion = {list(POSE[3:])}
+motor_command = {list(CONTROL[:4])}
+gyro = {list(CONTROL[4:])}
+"""
+POSE_US = 10_000
+"""Time between two poses, and of a mean in the control telemetry, which is stamped at its end."""
+
+
+def one_table(folder: Path, target: Path) -> None:
+    """Join the tables of a log to one at the times of the poses, as another vehicle's logger writes it."""
+    poses, control = (
+        {round(int(row["publish_time_us"]), -3): row for row in csv.DictReader((folder / name).open())}
+        for name in ("mocap-pose.csv", "fc-control.csv")
+    )
+    with target.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(["t_us", *POSE, *CONTROL])
+        for t_us, pose in sorted(poses.items()):
+            mean = control.get(t_us + POSE_US)
+            if mean is not None and mean["interval_us"] == str(POSE_US):
+                writer.writerow([t_us, *(pose[key] for key in POSE), *(mean[key] for key in CONTROL)])
+
+
+@pytest.mark.full  # three flights and a trace
+def test_imported_log_is_traced_and_corrects_a_held_out_flight(
+    run: Run, flown: Any, error_m: float, tmp_path: Path
+) -> None:
+    assert run("plan", "sprint")[0] == 0
+    (tmp_path / "map.toml").write_text(COLUMNS)
+    for k in ("1", "2"):
+        assert run("fly", "sprint.ref", *WORLD, "--flight", k, "-o", f"{k}.mcap")[0] == 0
+        assert run("log", "export", f"{k}.mcap")[0] == 0
+        one_table(tmp_path / f"{k}.csv", tmp_path / f"flight-{k}.csv")
+        words = ("import", "csv", f"flight-{k}.csv", "--columns", "map.toml", "--vehicle", "research")
+        assert run(*words, "-o", f"imported-{k}.mcap")[0] == 0
+    code, traced, _ = run("trace", "imported-1.mcap", "imported-2.mcap", "-o", "traced")
+    assert (code, traced["verdict"]) == (0, "traced")
+    code, made, _ = run("correct", "traced/trace.model.toml", "-o", "x.ff")
+    assert (code, made["verdict"]) == (0, "traced")
+    assert "linear-drag" in made["corrected"]
+    told, _ = flown("x.ff")
+    assert told["tracking_rmse_m"] < CLEARLY * error_m
