@@ -138,7 +138,7 @@ def world_cells(scores: Mapping[str, Mapping[str, Any]]) -> list[dict[str, str]]
             "world": name,
             "effects": ", ".join(sorted(score["effects"])) or "none",
             "verdict": str(models["traced"]["verdict"]),
-            "corrected": ", ".join(models["traced"].get("corrected", {})) or "nothing",
+            "not corrected": ", ".join(models["traced"].get("uncorrected", {})) or "-",
             "uncorrected, mm": _rmse_mm([flight["uncorrected"] for flight in flights]),
         }
         for model in MODELS:
