@@ -14,8 +14,10 @@ import numpy as np
 import pytest
 
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.log.info import describe, to_lines
 from trimtab.host.log.scan import scan
 from trimtab.host.log.topics import LOG
+from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Assessment, Model
 from trimtab.host.models.network import Layout, Network
@@ -139,7 +141,25 @@ def test_reference_beyond_the_region_fades_the_correction_and_is_told(
     assert told["tracking_rmse_m"] < 1.1 * error_m
     texts = [entry.data for entry in scan(flight.path).by_topic()[LOG]]
     assert sum(b"feed-forward fades: beyond its region" in text for text in texts) == 1
-    assert run("log", "info", "x.mcap")[1]["feedforward_faded_s"] == told["feedforward_faded_s"]
+    described = describe(flight.path)
+    assert described["feedforward_faded_s"] == told["feedforward_faded_s"] == feedforward_faded_s(flight)
+    line = f"faded for {told['feedforward_faded_s']:.1f} s beyond its region"
+    assert any(line in text for text in to_lines(described))
+    assert flight.tracking is not None
+    middle_us = sum(flight.tracking) // 2
+    half = feedforward_faded_s(replace(flight, tracking=(flight.tracking[0], middle_us)))
+    assert half is not None
+    assert 0.0 < half < told["feedforward_faded_s"]
+
+
+def test_error_with_the_age_of_poses_counts_them_when_they_were_true(flown: Any, error_m: float) -> None:
+    _, flight = flown()
+    late = replace(flight.mocap, t_us=flight.mocap.t_us + 20_000)
+    stamped, true = (tracking_error(replace(flight, mocap=late), pose_age_s=age) for age in (0.0, 0.02))
+    assert stamped is not None
+    assert true is not None
+    assert true.rmse_m == pytest.approx(error_m)
+    assert abs(stamped.rmse_m - true.rmse_m) > 1e-3
 
 
 def test_undecided_model_is_corrected_only_if_accepted(run: Run, vehicle: Vehicle, tmp_path: Path) -> None:
