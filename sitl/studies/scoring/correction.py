@@ -90,6 +90,7 @@ def _figures(scores: Mapping[str, Mapping[str, Any]], model: str, seed: int) -> 
         "ratio_interval": _interval([world for world in by_world.values() if world], seed),
         "ratio_worst": _finite(max(ratios)) if ratios else None,
         "stamped_ratio_median": _finite(np.median(stamped)) if stamped else None,
+        "stamped_worse": sum(r > 1.0 for r in stamped),
         "worse": sum(r > 1.0 for r in ratios),
         "failed": sum(r == float("inf") for r in ratios),
         "ratio_by_world": {name: _finite(np.median(world)) for name, world in by_world.items() if world},

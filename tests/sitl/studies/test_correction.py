@@ -54,6 +54,7 @@ def test_summary_counts_flights_that_a_correction_made_worse_or_ended() -> None:
     assert traced["ratio_median"] == pytest.approx(0.35)
     assert traced["ratio_worst"] is None
     assert traced["ratio_by_world"] == {"0000": pytest.approx(0.25), "0001": pytest.approx(0.8), "0002": None}
+    assert (traced["stamped_worse"], traced["stamped_ratio_median"]) == (2, pytest.approx(0.35))
     assert (traced["undecided_worlds"], traced["uncorrected_worlds"]) == (1, 0)
     assert (learned["ratio_median"], learned["uncorrected_worlds"]) == (1.0, 3)
     assert cells(summary(scores, 1))[0]["worst"] == "failed"
