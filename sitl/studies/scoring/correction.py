@@ -8,6 +8,8 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
 
@@ -21,8 +23,16 @@ _LABELS = {"traced": "model of trace", "learned": "model of learn"}
 
 def pose_age_s(truth: Mapping[str, Any]) -> float:
     """Return by how much the poses of a world's logs are older than their stamps."""
-    drawn = truth["effects"].get("mocap-latency")
-    return drawn["latency_s"] if drawn else truth["deviations"].get("mocap-latency.latency_s", 0.0)
+    drawn, deviations = truth["effects"], truth["deviations"]
+    age_s = 0.0
+    for name, effect in load_effects().items():
+        if effect.mocap_latency_s is not None:
+            values = drawn.get(name) or {
+                key: neutral + deviations.get(f"{name}.{key}", 0.0)
+                for key, neutral in zip(effect.keys, effect.neutral, strict=True)
+            }
+            age_s += float(effect.mocap_latency_s(FLOAT, [values[key] for key in effect.keys]))
+    return age_s
 
 
 def flown(log: Path, answer: Mapping[str, Any], age_s: float) -> dict[str, Any]:
