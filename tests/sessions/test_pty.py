@@ -100,3 +100,29 @@ def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
     assert result.link["frames_lost"] > 0.08 * result.link["frames_sent"]
     assert result.tracking_rmse_m is not None
     assert result.tracking_rmse_m < 0.15
+
+
+@pytest.mark.full  # beside the flights in lock-step and the upload in test_correct.py
+def test_pty_flight_after_upload_of_a_correction_flies_with_it(
+    run_trimtab: Callable[..., tuple[int, dict, str]],
+    vehicle: Vehicle,
+    reference: Reference,
+    drag_model: str,
+    mocap_url: str,
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    assert run_trimtab("correct", drag_model, "-o", "drag.ff")[0] == 0
+    with served("--port", "pty", "--mocap", mocap_url, "--world", "paper-drag") as (port, end):
+        for blob in ("eight.ref", "drag.ff"):
+            assert run_trimtab("upload", blob, "--port", port)[0] == 0
+        words = ("--port", port, "--mocap", mocap_url, "--feedforward", "drag.ff", "-o", "x.mcap", "--json")
+        code, told, complaint = run_trimtab("fly", "eight.ref", *words)
+        end()
+    assert code == 0, complaint
+    assert told["whole"]
+    assert told["tracking_rmse_m"] < 0.15
+    flight = read_flight(tmp_path / "x.mcap")
+    assert flight.feedforward is not None
+    assert flight.feedforward.to_bytes() == (tmp_path / "drag.ff").read_bytes()
+    assert flight.metadata["feedforward_id"] == flight.feedforward.id
