@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from trimtab.host.report import calibrate, link, paper_flight, paper_learning, paper_planning, study
+from trimtab.host.report import (
+    calibrate,
+    controller_tuning,
+    link,
+    paper_flight,
+    paper_learning,
+    paper_planning,
+    study,
+)
 from trimtab.host.report.figures import Figure
 
 
@@ -28,6 +36,7 @@ class Reporter(Protocol):
 REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
+    "controller-tuning": controller_tuning,
     "link": link,
     "paper-flight": paper_flight,
     "paper-learning": paper_learning,
