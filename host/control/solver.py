@@ -63,7 +63,7 @@ class TrackingSolver:
         functions = sweeps(model, stages)
         self.stages, self.step_s = stages, step_s
         self._advance, self._forward, self._backward, self._targets = (
-            Buffered(compile_function(function)[0])
+            Buffered(compile_function(function, native=True)[0])
             for function in (
                 functions.advance,
                 functions.forward,
