@@ -24,6 +24,13 @@ class Tuned(Strict):
 
     vehicle: Name
     courses: Annotated[tuple[Course, ...], Field(min_length=1)]
+    paces: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    """Over the times of the courses."""
+    world: Name
+    """Simulated world."""
+    world_seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
+    command: str
+    """Command that repeats the tuning."""
 
 
 class GainsOverride(Strict):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -20,6 +21,8 @@ from trimtab.host.vehicle import Vehicle
 NAME = "controller-tuning"
 _REPEAT_STRIDE = 100
 """Distance of the flight indices of a repetition."""
+_WORSE = 3.0
+"""Increase of a flight's log error, in spreads, with which a point is not chosen."""
 
 
 def fly_point(
@@ -69,6 +72,18 @@ def log_error(errors_m: Sequence[float | None]) -> float | None:
     """Return the mean of the logarithms of the errors; None if a flight failed."""
     flown = [error for error in errors_m if error is not None]
     return float(np.log(flown).mean()) if len(flown) == len(errors_m) else None
+
+
+def score(errors_m: Sequence[float | None], start_m: Sequence[float | None], spread: float) -> float:
+    """Return the mean log error of a point; infinite if a flight failed or is much worse than at the start.
+
+    A single flight that gets worse while the others improve shows that the loop is near its stability limit.
+    """
+    changes = [
+        np.log(a / b) for a, b in zip(errors_m, start_m, strict=True) if a is not None and b is not None
+    ]
+    mean = log_error(errors_m)
+    return math.inf if mean is None or max(changes) > _WORSE * spread else mean
 
 
 def flight_spread(

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.apps.paper.tuning.points import NAME, flight_spread, fly_point, log_error
+import numpy as np
+
+from trimtab.host.apps.paper.tuning.points import NAME, flight_spread, fly_point, score
 from trimtab.host.apps.paper.tuning.search import search_coordinate
 from trimtab.host.apps.paper.tuning.summary import markdown, summary
-from trimtab.host.apps.paper.tuning.table import FULL, QUICK, Search
+from trimtab.host.apps.paper.tuning.table import FULL, QUICK, Parameter, Search
 from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import FlightFailed
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
@@ -96,22 +97,37 @@ def tune(search: Search, points: Points) -> dict[str, Any]:
     spread = flight_spread([(first, second) for first, second in errors])
     parameters = {}
     for each in search.parameters:
-
-        def score(candidates: Sequence[float], name: str = each.name, files: Any = each.files) -> list[float]:
-            rows = [
-                [piece_of(search, file, {**factors, name: factor}) for file in files] for factor in candidates
-            ]
-            points.fly([piece for row in rows for piece in row])
-            return [_mean([log_error(points.errors_m(piece)) for piece in row]) for row in rows]
-
-        outcome = search_coordinate(score, each.factors, spread)
+        outcome = search_coordinate(
+            partial(_scores, points, search, each, dict(factors), spread), each.factors, spread
+        )
         factors[each.name] = outcome.factor
         parameters[each.name] = {"factor": outcome.factor, "best": outcome.best, "gain": outcome.gain}
     return {"spread": spread, "parameters": parameters}
 
 
-def _mean(scores: Sequence[float | None]) -> float:
-    return math.inf if None in scores else sum(each for each in scores if each is not None) / len(scores)
+def _scores(
+    points: Points,
+    search: Search,
+    parameter: Parameter,
+    start: Mapping[str, float],
+    spread: float,
+    candidates: Sequence[float],
+) -> list[float]:
+    """Return the mean score of the parameter's controllers at each factor, other parameters as in `start`."""
+    rows = [
+        [piece_of(search, file, {**start, parameter.name: factor}) for file in parameter.files]
+        for factor in candidates
+    ]
+    points.fly([piece for row in rows for piece in row])
+    before = [points.errors_m(piece_of(search, file, start)) for file in parameter.files]
+    return [
+        float(
+            np.mean(
+                [score(points.errors_m(piece), at, spread) for piece, at in zip(row, before, strict=True)]
+            )
+        )
+        for row in rows
+    ]
 
 
 def _start(searches: Sequence[Search]) -> float:
