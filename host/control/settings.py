@@ -112,7 +112,7 @@ class MpcSettings(Strict):
     """Time after a control step that its command needs before it is sent; whole milliseconds."""
     iterations_max: Annotated[int, Field(ge=1, le=100)]
     tolerance: Annotated[float, Field(gt=0.0, le=0.1)]
-    """Change of an input, as a share of its range, at which a solve ends."""
+    """Distance of an input from the solution, as a share of its range, at which a solve ends."""
     residual: Literal["none", "model"]
     """Whether the prediction has the residual acceleration of a model file."""
     rate_lag_s: Positive3 | None = None
