@@ -113,9 +113,12 @@ def c_source(function: ca.Function) -> str:
     return generator.dump()
 
 
-def compile_function(function: ca.Function, *, engine: str | None = None) -> tuple[ca.Function, str]:
+def compile_function(
+    function: ca.Function, *, engine: str | None = None, native: bool = False
+) -> tuple[ca.Function, str]:
     """Return the same function and "c" where it could be compiled, else `function` itself and "vm".
 
+    native: compile for all instructions of this machine, which takes longer and changes no bit of the result.
     Raises CodegenError where "c" is requested and there is no compiler, or the compiler fails.
     """
     compiler = wanted_compiler(engine)
@@ -123,18 +126,18 @@ def compile_function(function: ca.Function, *, engine: str | None = None) -> tup
         return function, "vm"
     name, source = function.name(), c_source(function)
     try:
-        path = shared_library(source, compiler)
+        path = shared_library(source, compiler, native=native)
         try:
             return ca.external(name, str(path)), "c"
         except RuntimeError:  # for another machine, or damaged: compile it again, once
             path.unlink(missing_ok=True)
-            path = shared_library(source, compiler)
+            path = shared_library(source, compiler, native=native)
             return ca.external(name, str(path)), "c"
     except (CodegenError, RuntimeError, OSError) as error:
         if engine_choice(engine) == "c":
             if isinstance(error, CodegenError):
                 raise
-            place = library_path(source, compiler)
+            place = library_path(source, compiler, native=native)
             raise CodegenError(f"the compiled {name} in {place.parent} cannot be used: {error}") from None
         _log.warning("%s; going on without it, slower", error)
         return function, "vm"

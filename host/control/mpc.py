@@ -18,6 +18,7 @@ from trimtab.host.control.interface import ControlStep, RateCommand, SolveStatus
 from trimtab.host.control.settings import MpcSettings
 from trimtab.host.control.solver import HorizonPlan, TrackingSolver
 from trimtab.host.effects import Effect
+from trimtab.host.log.tracking import ReferencePath
 from trimtab.host.models.airframe import RATE, THETA, V
 from trimtab.host.models.model import Model
 from trimtab.host.models.reference import flat_outputs
@@ -60,7 +61,7 @@ class Mpc:
         self._model = ControlModel.of(vehicle, settings.rate_lag_s, model, effects)
         cost = cost_parameters(settings, self._model)
         self._solver = TrackingSolver(self._model, stages=settings.stages, step_s=settings.step_s, cost=cost)
-        self._reference: Reference | None = None
+        self._path: ReferencePath | None = None
         self._reset()
 
     @property
@@ -70,7 +71,7 @@ class Mpc:
 
     def begin(self, reference: Reference) -> None:
         """Prepare to follow `reference`; forget all earlier steps."""
-        self._reference = reference
+        self._path = ReferencePath(reference)
         self._reset()
 
     def step(self, estimate: StateEstimate, sent: Sequence[RateCommand], act_us: int) -> ControlStep:
@@ -78,7 +79,7 @@ class Mpc:
 
         Raises RuntimeError before `begin`.
         """
-        if self._reference is None:
+        if self._path is None:
             raise RuntimeError("step before begin: the controller has no reference")
         with np.errstate(all="ignore"):
             measured = _measured(estimate)
@@ -100,9 +101,9 @@ class Mpc:
 
     def _targets(self, act_us: int) -> Array:
         """Return targets (N + 1, 17) at the nodes of a plan that starts at `act_us`."""
-        assert self._reference is not None
+        assert self._path is not None
         times_s = 1e-6 * act_us + self.settings.step_s * np.arange(self.settings.stages + 1)
-        return self._solver.targets(flat_outputs(self._reference, times_s))
+        return self._solver.targets(flat_outputs(self._path, times_s))
 
     def _observe(self, measured: Array, t_us: int, sent: Sequence[RateCommand]) -> Array:
         """Return the state (13) at an estimate (12): its thrust is predicted. Updates the adaptation."""

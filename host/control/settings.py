@@ -24,6 +24,13 @@ class Tuned(Strict):
 
     vehicle: Name
     courses: Annotated[tuple[Course, ...], Field(min_length=1)]
+    paces: Annotated[tuple[Positive, ...], Field(min_length=1)]
+    """Over the times of the courses."""
+    world: Name
+    """Simulated world."""
+    world_seeds: Annotated[tuple[Annotated[int, Field(ge=0)], ...], Field(min_length=1)]
+    command: str
+    """Command that repeats the tuning."""
 
 
 class GainsOverride(Strict):
@@ -105,7 +112,7 @@ class MpcSettings(Strict):
     """Time after a control step that its command needs before it is sent; whole milliseconds."""
     iterations_max: Annotated[int, Field(ge=1, le=100)]
     tolerance: Annotated[float, Field(gt=0.0, le=0.1)]
-    """Change of an input, as a share of its range, at which a solve ends."""
+    """Distance of an input from the solution, as a share of its range, at which a solve ends."""
     residual: Literal["none", "model"]
     """Whether the prediction has the residual acceleration of a model file."""
     rate_lag_s: Positive3 | None = None

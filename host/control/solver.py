@@ -23,6 +23,8 @@ from trimtab.host.control.targets import target_function
 
 Array = NDArray[np.float64]
 
+_RATE_MAX = 0.9
+"""Greatest ratio of two changes that counts: smaller changes may be rounding."""
 _HALVINGS = 5
 _LEAST_SHARE = 1e-4
 """Share of the predicted decrease that a change must bring."""
@@ -63,7 +65,7 @@ class TrackingSolver:
         functions = sweeps(model, stages)
         self.stages, self.step_s = stages, step_s
         self._advance, self._forward, self._backward, self._targets = (
-            Buffered(compile_function(function)[0])
+            Buffered(compile_function(function, native=True)[0])
             for function in (
                 functions.advance,
                 functions.forward,
@@ -117,7 +119,8 @@ class TrackingSolver:
     ) -> Solution:
         """Return the plan from `x0` that follows the targets best.
 
-        It is solved where no input changes by more than `tolerance` of its range in an iteration.
+        It is solved where no input is further than `tolerance` of its range from the solution, by the last
+        change and its rate of decrease: the method converges linearly.
         """
         forward, backward = self._forward, self._backward
         forward.inputs["x0"][0] = x0
@@ -127,6 +130,7 @@ class TrackingSolver:
         self._predict(start.x[:-1], start.u, start.K, 0.0)
         if not self._finite():
             return Solution(plan=None, status=SolveStatus.INFEASIBLE, iterations=0)
+        before = np.inf
         for iteration in range(1, iterations_max + 1):
             for name in ("x", "u", "A", "B"):
                 backward.inputs[name][:] = forward.outputs[name]
@@ -139,8 +143,9 @@ class TrackingSolver:
                 u=backward.inputs["u"].copy(),
                 K=backward.outputs["K"].copy(),
             )
-            if change <= tolerance:
+            if change <= tolerance * (1.0 - min(change / before, _RATE_MAX)):
                 return Solution(plan=plan, status=SolveStatus.SOLVED, iterations=iteration)
+            before = change
             if not self._improve(plan):
                 return Solution(plan=plan, status=SolveStatus.BUDGET_SPENT, iterations=iteration)
         return Solution(plan=self._present(), status=SolveStatus.BUDGET_SPENT, iterations=iterations_max)

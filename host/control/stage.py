@@ -5,6 +5,7 @@ from __future__ import annotations
 import casadi as ca
 
 from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, ControlModel
+from trimtab.host.control.residual_network import network_functions
 from trimtab.host.models.airframe import V
 
 _ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
@@ -15,7 +16,7 @@ class Stage:
     """One RK4 step from MX arguments: its evaluations of the dynamics, and the chain rule over them."""
 
     def __init__(self, model: ControlModel) -> None:
-        self._network, self._network_slopes = network_value(model), _network_slopes(model)
+        self._network = network_functions(model.network)
         x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)
         p, step_s = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("step_s")
         d, d_slope = ca.SX.sym("d", 3), ca.SX.sym("d_slope", 3, NETWORK_STATE.stop - NETWORK_STATE.start)
@@ -38,16 +39,20 @@ class Stage:
         self._inside = ca.Function("inside", [x, step_s, share, k[0]], [x + share * step_s * k[0]])
         self._chain, self.sparsity_a, self.sparsity_b = _chain_rule(by_x.sparsity(), by_u.sparsity())
 
-    def next(self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, xi: ca.MX) -> ca.MX:
+    def matrices(self, xi: ca.MX) -> list[ca.MX]:
+        """Return the network's matrices, for all steps of a prediction."""
+        return self._network.matrices.call([xi])
+
+    def next(self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, matrices: list[ca.MX]) -> ca.MX:
         """Return x_next."""
         ks: list[ca.MX] = []
         for share in _ALONG:
             at = self._inside(x, step_s, share, ks[-1]) if ks else x
-            ks.append(self._slope(at, u, p, self._network(xi, at[NETWORK_STATE])))
+            ks.append(self._slope(at, u, p, self._network.value(*matrices, at[NETWORK_STATE])))
         return self._end(x, step_s, *ks)
 
     def linearised(
-        self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, xi: ca.MX
+        self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, matrices: list[ca.MX]
     ) -> tuple[ca.MX, ca.MX, ca.MX]:
         """Return x_next and the nonzeros of its Jacobians in x and u."""
         ks: list[ca.MX] = []
@@ -55,31 +60,12 @@ class Stage:
         by_u: list[ca.MX] = []
         for share in _ALONG:
             at = self._inside(x, step_s, share, ks[-1]) if ks else x
-            k, a, b = self._slopes(at, u, p, *self._network_slopes(xi, at[NETWORK_STATE]))
+            k, a, b = self._slopes(at, u, p, *self._network.slopes(*matrices, at[NETWORK_STATE]))
             ks.append(k)
             by_x.append(a)
             by_u.append(b)
         a_nz, b_nz = self._chain(step_s, *by_x, *by_u)
         return self._end(x, step_s, *ks), a_nz, b_nz
-
-
-def network_value(model: ControlModel) -> ca.Function:
-    """Return (xi, v_ned and Theta) -> acceleration (3); zeros without a network."""
-    xi, state = ca.MX.sym("xi", len(model.weights)), ca.MX.sym("state", 6)
-    d = ca.MX(ca.DM.zeros(3))
-    if model.network is not None:
-        d = model.network.layout.matrices(xi, state)
-    return ca.Function("network", [xi, state], [d], {"cse": True})
-
-
-def _network_slopes(model: ControlModel) -> ca.Function:
-    """Return (xi, v_ned and Theta) -> acceleration (3), Jacobian (3, 6); zeros without a network."""
-    xi, state = ca.MX.sym("xi", len(model.weights)), ca.MX.sym("state", 6)
-    if model.network is None:
-        zeros = [ca.MX(ca.DM.zeros(3)), ca.MX(ca.DM.zeros(3, 6))]
-        return ca.Function("network_slopes", [xi, state], zeros)
-    d = model.network.layout.matrices(xi, state)
-    return ca.Function("network_slopes", [xi, state], [d, ca.densify(ca.jacobian(d, state))], {"cse": True})
 
 
 def _chain_rule(

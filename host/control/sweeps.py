@@ -54,7 +54,9 @@ def _advance(model: ControlModel, stage: Stage) -> ca.Function:
         "p": ca.MX.sym("p", len(model.parameters)),
         "xi": ca.MX.sym("xi", len(model.weights)),
     }
-    return _named("advance", inputs, {"next": stage.next(*inputs.values())})
+    matrices = stage.matrices(inputs["xi"])
+    x_next = stage.next(inputs["x"], inputs["u"], inputs["step_s"], inputs["p"], matrices)
+    return _named("advance", inputs, {"next": x_next})
 
 
 def _forward(model: ControlModel, stages: int, stage: Stage) -> ca.Function:
@@ -74,11 +76,12 @@ def _forward(model: ControlModel, stages: int, stage: Stage) -> ca.Function:
     of_policy, stage_cost, terminal_cost = policy(), cost_terms(terminal=False), cost_terms(terminal=True)
     per_stage = [ca.horzsplit(inputs[name]) for name in ("x_plan", "u_plan", "k", "K", "reference")]
     x, total = inputs["x0"], ca.MX(0.0)
+    matrices = stage.matrices(inputs["xi"])
     xs, us, a_columns, b_columns = [x], [], [], []
     for x_plan, u_plan, k, K, reference in zip(*per_stage, strict=False):
         u = of_policy(x, x_plan, u_plan, k, K, inputs["alpha"], inputs["cost"])
         total += stage_cost(x, u, reference, inputs["cost"])[0]
-        x, a_nz, b_nz = stage.linearised(x, u, inputs["step_s"], inputs["p"], inputs["xi"])
+        x, a_nz, b_nz = stage.linearised(x, u, inputs["step_s"], inputs["p"], matrices)
         xs.append(x)
         us.append(u)
         a_columns.append(a_nz)

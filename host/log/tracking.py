@@ -7,7 +7,7 @@ from typing import Annotated
 
 import numpy as np
 
-from trimtab.firmware_model.law.reference import hermite_yaw, septic
+from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients, septic_at, septic_coefficients
 from trimtab.host.log.tracks import Flight, Floats, Times
 from trimtab.protocol.blobs import Reference
 
@@ -25,31 +25,49 @@ class TrackingError:
     poses: int
 
 
+class ReferencePath:
+    """A reference as arrays, prepared once for many evaluations."""
+
+    def __init__(self, reference: Reference) -> None:
+        nodes, rows = reference.nodes_ned(), reference.yaw_nodes()
+        self._starts_us = np.array([node.t_us for node in nodes])
+        states = np.array([node.state for node in nodes]).T
+        dt_s = np.diff(self._starts_us) * 1e-6
+        self._pieces = np.array(septic_coefficients(dt_s, list(states[:, :-1]), list(states[:, 1:])))
+        self._yaw_starts_us = np.array([row.t_us for row in rows])
+        yaw, rate = np.array([row.yaw for row in rows]), np.array([row.yaw_rate for row in rows])
+        dt_s = np.diff(self._yaw_starts_us) * 1e-6
+        self._yaw_pieces = np.array(cubic_coefficients(dt_s, yaw[:-1], rate[:-1], yaw[1:], rate[1:]))
+        self._yaw = float(yaw[0])
+
+    def at(self, t_us: Annotated[Times, "times"]) -> Annotated[Floats, "times 14"]:
+        """Return flat outputs at `t_us` after the start; outside it, those of the end nodes."""
+        starts = self._starts_us
+        inside = np.clip(t_us, 0, starts[-1])
+        k = _piece(starts, inside)
+        p, v, a, j, _ = septic_at(list(self._pieces[:, k]), (inside - starts[k]) * 1e-6)
+        return np.stack([*p, *v, *a, *j, *self._yaw_at(inside)], axis=1)
+
+    def _yaw_at(self, t_us: Times) -> tuple[Floats, Floats]:
+        """Return yaw and yaw rate. Before the first and after the last yaw node, yaw is constant."""
+        starts = self._yaw_starts_us
+        if len(starts) == 1:
+            return np.full(len(t_us), self._yaw), np.zeros(len(t_us))
+        k = _piece(starts, t_us)
+        s_s = (np.clip(t_us, starts[0], starts[-1]) - starts[k]) * 1e-6
+        inner, inner_rate = cubic_at(list(self._yaw_pieces[:, k]), s_s)
+        held = (t_us < starts[0]) | (t_us > starts[-1])
+        return inner, np.where(held, 0.0, inner_rate)
+
+
+def _piece(starts_us: Times, t_us: Times) -> Times:
+    """Return the index of the piece that each time is in."""
+    return np.clip(np.searchsorted(starts_us, t_us, side="right") - 1, 0, len(starts_us) - 2)
+
+
 def reference_at(reference: Reference, t_us: Annotated[Times, "times"]) -> Annotated[Floats, "times 14"]:
     """Return flat outputs at `t_us` after the start; outside it, those of the end nodes."""
-    nodes = reference.nodes_ned()
-    starts = np.array([node.t_us for node in nodes])
-    states = np.array([node.state for node in nodes]).T
-    inside = np.clip(t_us, 0, starts[-1])
-    k = np.clip(np.searchsorted(starts, inside, side="right") - 1, 0, len(nodes) - 2)
-    dt_s, s_s = (starts[k + 1] - starts[k]) * 1e-6, (inside - starts[k]) * 1e-6
-    p, v, a, j, _ = septic(dt_s, s_s, list(states[:, k]), list(states[:, k + 1]))
-    return np.stack([*p, *v, *a, *j, *_yaw_at(reference, inside)], axis=1)
-
-
-def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
-    """Return yaw and yaw rate. Before the first and after the last yaw node, yaw is constant."""
-    rows = reference.yaw_nodes()
-    starts = np.array([row.t_us for row in rows])
-    yaw, rate = np.array([row.yaw for row in rows]), np.array([row.yaw_rate for row in rows])
-    if len(rows) == 1:
-        return np.full(len(t_us), yaw[0]), np.zeros(len(t_us))
-    k = np.clip(np.searchsorted(starts, t_us, side="right") - 1, 0, len(rows) - 2)
-    dt_s = (starts[k + 1] - starts[k]) * 1e-6
-    s_s = (np.clip(t_us, starts[0], starts[-1]) - starts[k]) * 1e-6
-    inner, inner_rate = hermite_yaw(dt_s, s_s, yaw[k], rate[k], yaw[k + 1], rate[k + 1])
-    held = (t_us < starts[0]) | (t_us > starts[-1])
-    return inner, np.where(held, 0.0, inner_rate)
+    return ReferencePath(reference).at(t_us)
 
 
 def tracking_distances(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[Floats, "poses"] | None:

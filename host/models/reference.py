@@ -10,7 +10,7 @@ from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.dfbc import FlatState
 from trimtab.firmware_model.law.step import feedforward_terms, flat_motion
 from trimtab.host.codegen.ops import NUMPY
-from trimtab.host.log.tracking import reference_at
+from trimtab.host.log.tracking import ReferencePath
 from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
 
 FLAT_ROWS = 14
@@ -20,14 +20,15 @@ FEEDFORWARD_ROWS = 6
 
 
 def flat_outputs(
-    reference: Reference, t_s: Annotated[np.ndarray, "times"]
+    reference: Reference | ReferencePath, t_s: Annotated[np.ndarray, "times"]
 ) -> Annotated[np.ndarray, "14 times"]:
     """Return p, v, a, j in NED, yaw and yaw rate at times since the reference's start.
 
-    Before the start and after the end, the end nodes apply.
+    Before the start and after the end, the end nodes apply. For many calls, give a `ReferencePath`.
     """
+    path = reference if isinstance(reference, ReferencePath) else ReferencePath(reference)
     t_us: Any = 1e6 * np.asarray(t_s, dtype=float)
-    return np.ascontiguousarray(reference_at(reference, t_us).T)
+    return np.ascontiguousarray(path.at(t_us).T)
 
 
 def feedforward_rows(

@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from trimtab.host.report import (
     calibrate,
+    controller_tuning,
     correction,
     link,
     paper_flight,
@@ -36,6 +37,7 @@ class Reporter(Protocol):
 REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
+    "controller-tuning": controller_tuning,
     "correction": correction,
     "link": link,
     "paper-flight": paper_flight,

@@ -29,7 +29,8 @@ class StudyOptions:
     jobs
         Number of processes. Default: one for each core.
     quick
-        Run a small study to check that everything works. For correction, link and the paper's studies.
+        Run a small study to check that everything works. For controller-tuning, correction, link and the
+        paper's studies.
     baselines
         Also score other methods on the same logs. For blind.
     real
@@ -60,9 +61,10 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     Parameters
     ----------
     name
-        Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), correction (flown
-        error without and with the correction of a model), link (uploads over a lossy radio link, interrupted
-        uploads, fuzzing), paper-learning, paper-planning, paper-flight (sections of the paper).
+        Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), controller-tuning
+        (settings of the controller files), correction (flown error without and with the correction of a
+        model), link (uploads over a lossy radio link, interrupted uploads, fuzzing), paper-learning,
+        paper-planning, paper-flight (sections of the paper).
     """
     import os
 

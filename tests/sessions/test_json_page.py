@@ -28,6 +28,8 @@ from trimtab.host.apps.paper.learning import noise
 from trimtab.host.apps.paper.learning.summary import summary as paper_summary
 from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
 from trimtab.host.apps.paper.planning.summary import summary as planning_summary
+from trimtab.host.apps.paper.tuning.summary import summary as tuning_summary
+from trimtab.host.apps.paper.tuning.table import QUICK
 from trimtab.host.link.download import Download
 from trimtab.host.link.upload import UploadResult
 from trimtab.host.log import read_flight
@@ -342,6 +344,19 @@ def test_study_paper_planning_prints_what_the_page_says() -> None:
     told = {"study": "paper-planning", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
     outcome = planning_summary(told, {name: {"result": piece} for name, piece in pieces.items()})
     check("study paper-planning", {**outcome["answer"], "report": "f/report.html"})
+
+
+def test_study_controller_tuning_prints_what_the_page_says() -> None:
+    lost = {"course": "pretzel", "pace": 0.8, "why": "tilted"}
+    point = {"search": "dfbc", "controller": "dfbc-do", "factors": {"observer": 1.0}, "repetition": 0}
+    flown = {
+        "a": {"result": {**point, "errors_m": [0.1], "failed": []}},
+        "b": {"result": {**point, "errors_m": [None], "failed": [lost]}},
+    }
+    tuned = {"dfbc": {"spread": 0.01, "parameters": {"observer": {"factor": 1.0, "best": 1.5, "gain": 0.0}}}}
+    told = {"study": "controller-tuning", "seed": 1, "quick": True, "folder": "f"}
+    outcome = tuning_summary(told, QUICK, tuned, flown, load_vehicle("research"))
+    check("study controller-tuning", {**outcome["answer"], "report": "f/report.html"})
 
 
 def test_study_paper_flight_prints_what_the_page_says() -> None:

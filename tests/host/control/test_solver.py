@@ -114,7 +114,7 @@ def _solver() -> TrackingSolver:
 
 def _solve(x0: np.ndarray, targets: np.ndarray) -> Solution:
     solver = _solver()
-    return solver.solve(x0, targets, solver.start(targets), iterations_max=50, tolerance=SETTINGS.tolerance)
+    return solver.solve(x0, targets, solver.start(targets), iterations_max=100, tolerance=SETTINGS.tolerance)
 
 
 @functools.cache

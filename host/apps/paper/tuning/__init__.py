@@ -1,0 +1,1 @@
+"""Tuning of the controller files: a coordinate search over flights on named courses in named worlds."""
