@@ -1,4 +1,4 @@
-"""A workspace: a folder with the user's own vehicles/, routes/ and effects/ beside the shipped ones."""
+"""A workspace: a folder with the user's own files beside the shipped ones, by kind in subfolders."""
 
 from __future__ import annotations
 
@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING
 from trimtab.host.base.errors import UsageError
 
 if TYPE_CHECKING:
+    from trimtab.host.control.settings import ControllerSettings
     from trimtab.host.route import Route
     from trimtab.host.vehicle import Vehicle
 
 
-FOLDERS = ("vehicles", "routes", "effects")
+FOLDERS = ("vehicles", "routes", "effects", "controllers")
 """Folders of a workspace."""
 
 
@@ -37,6 +38,12 @@ class Workspace:
         from trimtab.host.route import load_route
 
         return load_route(name_or_path, self.root, vehicle)
+
+    def controller(self, name_or_path: str | Path) -> ControllerSettings:
+        """Return the settings of a controller by name or path. Raises ConfigurationError."""
+        from trimtab.host.control.files import load_controller
+
+        return load_controller(name_or_path, self.root)
 
     def effect_files(self) -> dict[str, Path]:
         """Return the files of the user's candidate effects by name (`slow-leak` for slow_leak.py)."""

@@ -258,8 +258,12 @@ class SimulatedVehicle:
         poses = 2 if world.mocap.rate_hz >= TWO_POSES_HZ else 1
         self._ground_radio = RadioMcu(address=HOST_RADIO, poses=poses, frame_bytes=frame_bytes, **serial)
         self._host_port = UartPort(baud=world.serial.baud, rx_bytes=HOST_RX_BYTES, tx_bytes=HOST_TX_BYTES)
-        connect(self._flight_mcu.uart, self._air_radio.uart)
-        connect(self._host_port, self._ground_radio.uart)
+        self._wired = world.radio.wired
+        if self._wired:
+            connect(self._host_port, self._flight_mcu.uart)
+        else:
+            connect(self._flight_mcu.uart, self._air_radio.uart)
+            connect(self._host_port, self._ground_radio.uart)
         self._channel = RadioChannel(
             ground=self._ground_radio,
             vehicle=self._air_radio,
@@ -280,17 +284,18 @@ class SimulatedVehicle:
 
     def _devices(self, now_us: int) -> None:
         """Tick all devices except the plant: camera, radios, then the flight processor."""
-        camera, channel = self._camera, self._channel
+        camera = self._camera
         if now_us >= camera.due_us:
             camera.tick(now_us, self._pose, self._sensed[0:3])
-        ground, air = self._ground_radio, self._air_radio
-        if now_us >= channel.due_us:
-            channel.tick(now_us)
-        # `due_us` of the radios, inlined for speed.
-        if (now_us >= ground.radio_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
-            channel.wake(now_us, ground=True)
-        if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
-            channel.wake(now_us, ground=False)
+        if not self._wired:
+            channel, ground, air = self._channel, self._ground_radio, self._air_radio
+            if now_us >= channel.due_us:
+                channel.tick(now_us)
+            # `due_us` of the radios, inlined for speed.
+            if (now_us >= ground.radio_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
+                channel.wake(now_us, ground=True)
+            if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
+                channel.wake(now_us, ground=False)
         p, q, r, x, y, z, volts = self._sensed
         dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
         timing = self._timing

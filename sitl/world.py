@@ -93,6 +93,16 @@ class RadioSettings(Strict):
     """Share of frames delivered with flipped bits."""
     cuts_s: tuple[Spell, ...] = ()
     """[start, length] of periods in which no frame passes in either direction."""
+    wired: bool = False
+    """No radios: the host's serial line leads to the flight processor."""
+
+    @field_validator("wired")
+    @classmethod
+    def _alone(cls, value: bool, info: ValidationInfo) -> bool:
+        changed = [k for k, v in info.data.items() if v != cls.model_fields[k].default]
+        if value and changed:
+            raise ValueError(f"a wired host has no radios; leave out {', '.join(changed)}")
+        return value
 
     @field_validator("burst_frames")
     @classmethod

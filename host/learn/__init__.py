@@ -2,6 +2,7 @@
 
 from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.learn.learn import DEFAULT_FORMS, Judged, Learned, learn
+from trimtab.host.learn.supervised import learn_supervised
 from trimtab.host.learn.train import Settings
 
-__all__ = ["DEFAULT_FORMS", "CondensedSettings", "Judged", "Learned", "Settings", "learn"]
+__all__ = ["DEFAULT_FORMS", "CondensedSettings", "Judged", "Learned", "Settings", "learn", "learn_supervised"]

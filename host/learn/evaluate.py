@@ -32,6 +32,14 @@ class Errors:
         return {name: value if np.isfinite(value) else None for name, value in vars(self).items()}
 
 
+def errors_of(squares: Annotated[np.ndarray, "samples columns"]) -> Errors:
+    """Return the errors whose squares, by component, are these: position, velocity and others."""
+    return Errors(
+        position_rmse_m=float(np.sqrt(squares[:, 0:3].sum(axis=1).mean())),
+        velocity_rmse_m_s=float(np.sqrt(squares[:, 3:6].sum(axis=1).mean())),
+    )
+
+
 def whole_flights(
     phi: Phi,
     theta: Annotated[np.ndarray, "parameters"],
@@ -47,11 +55,7 @@ def whole_flights(
         predicted = predict(phi, theta, states, network)
         square = (predicted - states.x)[:, :6] ** 2
         squares.append(square if states.seen is None else square[states.seen])
-    every = np.concatenate(squares)
-    return Errors(
-        position_rmse_m=float(np.sqrt(every[:, 0:3].sum(axis=1).mean())),
-        velocity_rmse_m_s=float(np.sqrt(every[:, 3:6].sum(axis=1).mean())),
-    )
+    return errors_of(np.concatenate(squares))
 
 
 def predict(

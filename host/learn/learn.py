@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
@@ -40,7 +40,7 @@ swing as an acceleration, and whole flights have no such swing.
 
 @dataclass(frozen=True, kw_only=True)
 class Judged:
-    """Whole-flight errors on one set of flights.
+    """Errors on one set of flights: of whole flights, or over AHEAD_S if `drive` is "inputs".
 
     nominal: of the vehicle file alone. base: with the effects of the model learned upon; equal to nominal
     without one. learned: of the selected model. outside: share of samples outside the model's region.
@@ -52,6 +52,7 @@ class Judged:
     base: Errors
     learned: Errors
     outside: float
+    drive: Literal["reference", "inputs"] = "reference"
 
     @property
     def ratio(self) -> float:
@@ -64,6 +65,7 @@ class Judged:
             **self.learned.to_json(),
             "nominal": self.nominal.to_json(),
             "base": self.base.to_json(),
+            "drive": self.drive,
             "outside_region": self.outside,
             "flights": list(self.flights),
             "references": list(self.references),
@@ -137,7 +139,10 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     model = _model(base, candidate, library, data, provenance or {})
     nothing, test = trials[0], None
     if nothing.test and selected.test:
-        test = _judged(data, data.test, nothing.test, selected.test, base, model)
+        bare = Candidate(phi=replace(phi, effects=()), theta=np.zeros(0))
+        by_inputs = data.test_errors(bare) if base is not None and data.test_drive == "inputs" else None
+        test = _judged(data, data.test, nothing.test, selected.test, base, model, nominal=by_inputs)
+        test = replace(test, drive=data.test_drive)
     train_errors = _judged(data, data.used, nothing.train, selected.train, base, model)
     return Learned(
         model=_assessed(model, base, train_errors, test),
@@ -157,15 +162,27 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
 
 
 def _judged(
-    data: Split, chosen: Sequence[States], before: Errors, learned: Errors, base: Model | None, model: Model
+    data: Split,
+    chosen: Sequence[States],
+    before: Errors,
+    learned: Errors,
+    base: Model | None,
+    model: Model,
+    *,
+    nominal: Errors | None = None,
 ) -> Judged:
-    """Return the errors on some of the flights, without and with the learned model."""
+    """Return the errors on some of the flights, without and with the learned model.
+
+    nominal: of the vehicle file alone; None to compute them on whole flights.
+    """
     assert model.region is not None
-    flights = [data.logs[s.flight_id] for s in chosen]
+    if nominal is None:
+        flights = [data.logs[s.flight_id] for s in chosen]
+        nominal = before if base is None else model_errors(flights, None, {})
     return Judged(
         flights=tuple(s.flight_id for s in chosen),
         references=tuple(dict.fromkeys(s.reference_id for s in chosen)),
-        nominal=before if base is None else model_errors(flights, None, {}),
+        nominal=nominal,
         base=before,
         learned=learned,
         outside=float(model.region.outside(*_states_and_thrust(chosen)).mean()),

@@ -73,7 +73,7 @@ def train_condensed(
     if settings.layout is not None:
         start[: basis.weights] = settings.layout.initial(rng)
     start[basis.weights : basis.weights + len(chosen)] = (theta - phi.theta_neutral)[chosen] / scale
-    headings = _headings(settings, train_on.count, rng)
+    headings = random_headings(settings, train_on.count, rng)
     condenser = _Condenser(phi, theta, basis, chosen, settings, train_on.step_s, weight)
     fits: list[Fitted] = []
     network, learned, delay_s = np.zeros(basis.weights), theta.copy(), 0.0
@@ -107,8 +107,10 @@ def train_condensed(
     )
 
 
-def _headings(settings: CondensedSettings, count: int, rng: np.random.Generator) -> np.ndarray | None:
-    """Return the headings (copies, count) that segments are turned to; None where they are not turned."""
+def random_headings(
+    settings: CondensedSettings, count: int, rng: np.random.Generator
+) -> Annotated[np.ndarray, "copies segments"] | None:
+    """Return the headings, rad, that segments are turned to; None where they are not turned."""
     layout = settings.layout
     if layout is None or layout.frame != "world" or not settings.any_heading:
         return None

@@ -4,9 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal
 
 import numpy as np
 
+from trimtab.host.learn.ahead import ahead
 from trimtab.host.learn.candidates import Candidate, Trial
 from trimtab.host.learn.evaluate import Errors, whole_flights
 from trimtab.host.log import Flight
@@ -18,13 +20,15 @@ from trimtab.host.models.states import States, flight_states
 class Split:
     """Flights to learn from and flights held out, and the logs of both by flight id.
 
-    latency_s: how much older poses are than stamped, as the model learned upon has it.
+    latency_s: how much older poses are than stamped, as the model learned upon has it. test_drive: what
+    predicts the flights held out: their references or, if controllers on the host flew, their inputs.
     """
 
     used: list[States]
     test: list[States]
     logs: Mapping[str, Flight]
     latency_s: float
+    test_drive: Literal["reference", "inputs"]
 
     @classmethod
     def of(
@@ -36,9 +40,11 @@ class Split:
     ) -> Split:
         """Return the flights; None as `hold_out` splits them by reference.
 
-        Raises TooLittleData for flights of two vehicles, and for a reference on both sides.
+        Raises TooLittleData for flights of two vehicles, for a reference on both sides, and for flights by a
+        controller on the host that are not held out, or held out beside others.
         """
         _check_one_vehicle([*flights, *(hold_out or ())])
+        test_drive = _check_controllers(flights, hold_out or ())
         used = flight_states(flights, latency_s=latency_s)
         if hold_out is None:
             used, test = split_by_reference(used, rng)
@@ -51,19 +57,30 @@ class Split:
                     f"held-out flights share the reference {names} with the others; hold out others"
                 )
         logs = {flight.id: flight for flight in [*flights, *(hold_out or ())]}
-        return cls(used=used, test=test, logs=logs, latency_s=latency_s)
+        return cls(used=used, test=test, logs=logs, latency_s=latency_s, test_drive=test_drive)
 
     def trial(self, candidate: Candidate) -> Trial:
-        """Return the candidate's errors on whole flights."""
-        train = self._errors(candidate, self.used)
-        test = self._errors(candidate, self.test) if self.test else None
-        return Trial(what=candidate.what, train=train, test=test)
+        """Return the candidate's errors on whole flights, or as `test_drive` says on those held out."""
+        train = whole_flights(
+            candidate.phi, candidate.theta, self._states(candidate, self.used), candidate.network
+        )
+        return Trial(what=candidate.what, train=train, test=self.test_errors(candidate))
 
-    def _errors(self, candidate: Candidate, chosen: Sequence[States]) -> Errors:
-        if candidate.latency_s != self.latency_s:
-            flights = [self.logs[s.flight_id] for s in chosen]
-            chosen = flight_states(flights, latency_s=candidate.latency_s)
-        return whole_flights(candidate.phi, candidate.theta, chosen, candidate.network)
+    def test_errors(self, candidate: Candidate) -> Errors | None:
+        """Return the candidate's errors on the flights held out; None if there are none."""
+        if not self.test:
+            return None
+        states = self._states(candidate, self.test)
+        if self.test_drive == "reference":
+            return whole_flights(candidate.phi, candidate.theta, states, candidate.network)
+        logs = [self.logs[each.flight_id] for each in states]
+        return ahead(candidate.phi, candidate.theta, states, logs, candidate.network)
+
+    def _states(self, candidate: Candidate, chosen: Sequence[States]) -> Sequence[States]:
+        """Return the states of the chosen flights with the candidate's latency of the poses."""
+        if candidate.latency_s == self.latency_s:
+            return chosen
+        return flight_states([self.logs[s.flight_id] for s in chosen], latency_s=candidate.latency_s)
 
 
 def split_by_reference(
@@ -79,6 +96,25 @@ def split_by_reference(
         [s for s in states if s.reference_id not in held],
         [s for s in states if s.reference_id in held],
     )
+
+
+def _check_controllers(
+    flights: Sequence[Flight], hold_out: Sequence[Flight]
+) -> Literal["reference", "inputs"]:
+    """Return what predicts the flights held out. Raises TooLittleData if learning cannot use the flights."""
+    by_host = next((flight for flight in flights if flight.host_control is not None), None)
+    if by_host is not None:
+        raise TooLittleData(
+            f"{by_host.path.name}: flown by a controller on the host, and learning predicts flights by the "
+            "law on board; give it with --hold-out"
+        )
+    kinds = {flight.host_control is not None for flight in hold_out}
+    if len(kinds) > 1:
+        raise TooLittleData(
+            "flights by the law on board and by a controller on the host are held out together; their errors "
+            "are of different kinds, hold out one kind"
+        )
+    return "inputs" if True in kinds else "reference"
 
 
 def _check_one_vehicle(flights: Sequence[Flight]) -> None:

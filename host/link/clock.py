@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections import deque
+from statistics import median
 
 from trimtab.protocol.telemetry import TICK_US
 
@@ -115,6 +116,13 @@ class ClockSync:
             mean = sum(best) / len(best)
             spread += sum((value - mean) ** 2 for value in best) / (len(best) - 1)
         return 0.5 * math.sqrt(spread)
+
+    @property
+    def uplink_us(self) -> float:
+        """Median time from the host's port to the vehicle over the last exchanges; 0 before the first."""
+        if not self._recent:
+            return 0.0
+        return max(0.0, median(up for up, _ in self._recent) - self.offset_us)
 
     def answer(self, sent_us: int, vehicle_us: int, now_us: int) -> None:
         """Use an answer: time of request (host), of answer (vehicle clock) and of arrival (host)."""

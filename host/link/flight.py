@@ -13,6 +13,7 @@ from typing import Any
 
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, Refused, UsageError
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.control_stream import ControlStream
 from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted
 from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
@@ -22,6 +23,7 @@ from trimtab.host.link.swap import Swap
 from trimtab.host.link.tasks import (
     Command,
     FindVehicle,
+    FreshEstimate,
     FreshStatus,
     Identity,
     SettleClock,
@@ -29,12 +31,13 @@ from trimtab.host.link.tasks import (
 )
 from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.vehicle_match import check_same_vehicle, neutral_feedforward
-from trimtab.host.log import LogError, LogWriter, Provenance, failsafe_name
+from trimtab.host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, failsafe_name
+from trimtab.host.log.topics import CONTROLLED_TOPICS
 from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import FeedForward, Kind, Reference
 from trimtab.protocol.messages import mavlink
-from trimtab.protocol.parameters import differences, equal
+from trimtab.protocol.parameters import BY_NAME, differences, equal
 from trimtab.protocol.telemetry import TICK_US
 
 ARM_PATIENCE_US = 10_000_000
@@ -83,6 +86,7 @@ class FlightDirector:
             if request.then is None
             else Swap(request.then, request.swap_us, lambda: self.session.forwarded)
         )
+        self._stream: ControlStream | None = None
         self._on_phase = on_phase
         self._on_board: dict[str, float] | None = None
         self._log: LogWriter | None = None
@@ -139,7 +143,7 @@ class FlightDirector:
                 else:
                     self._open_log(session.now_us)
                     yield from self._start()
-                status = yield FollowFlight(self._follow, None if land else self._swap)
+                status = yield FollowFlight(self._follow, None if land else self._swap or self._stream)
                 break
             except SESSION_ERRORS:
                 raise
@@ -207,13 +211,20 @@ class FlightDirector:
             raise FlightFailed(str(error)) from error
 
     def _start(self) -> Generator[Task, Any, None]:
-        """Start the flight. Raises FlightFailed if the vehicle refuses and stays on the ground.
+        """Start the flight: on the reference, or up to its height for a controller on the host.
 
-        A vehicle that already flies, or that went into failsafe after arming, also refuses; there is a flight
-        to follow then. The status is requested anew, because the last one may be older than the refusal.
+        Raises FlightFailed if the vehicle refuses and stays on the ground. A vehicle that already flies, or
+        that went into failsafe after arming, also refuses; there is a flight to follow then. The status is
+        requested anew, because the last one may be older than the refusal.
         """
+        command = Command(mavlink.MAV_CMD_MISSION_START, what="start")
+        if self._request.control is not None:
+            first = self._request.reference.nodes_ned()[0].state
+            estimate: m.FcEstimate = yield FreshEstimate()
+            height = max(estimate.p[2] - first[2], BY_NAME["TAKEOFF_HEIGHT"].min)
+            command = Command(mavlink.MAV_CMD_NAV_TAKEOFF, (*(0.0,) * 6, height), what="take off")
         try:
-            yield Command(mavlink.MAV_CMD_MISSION_START, what="start")
+            yield command
         except Refused as error:
             status: m.FcStatus = yield FreshStatus()
             failed = status.failsafe != mavlink.TRIMTAB_FAILSAFE_NONE
@@ -238,13 +249,31 @@ class FlightDirector:
             parameters=self._on_board,
             session=session,
         )
-        self._log = LogWriter(request.log_path, provenance)
+        channels = FLIGHT_TOPICS if request.control is None else CONTROLLED_TOPICS
+        self._log = LogWriter(request.log_path, provenance, channels)
         self.log_open = True
         self._recorder = Recorder(
             self._log, client, self.session.camera, request.reference, now_us, then=request.then
         )
         self._recorder.record_text("armed", now_us)
         self.session.listener = self._recorder
+        self._stream = self._control_stream(self._recorder)
+
+    def _control_stream(self, recorder: Recorder) -> ControlStream | None:
+        """Return the stream of the controller on the host, None without one."""
+        request = self._request
+        control = request.control
+        if control is None:
+            return None
+        values = {**to_parameters(request.vehicle), **(self._on_board or {})}
+        return ControlStream(
+            control,
+            request.reference,
+            mass_kg=values["MASS"],
+            thrust_max_n=values["THRUST_MAX"],
+            on_begin=lambda start_us, now_us: recorder.begin_control(control, start_us, now_us),
+            on_step=recorder.control_step,
+        )
 
     # Following.
 
@@ -265,12 +294,16 @@ class FlightDirector:
             reference = request.then
         flown = status.reference_tick != m.NO_TICK
         whole = flown and status.tick - status.reference_tick >= reference.duration_us // TICK_US
+        stream = self._stream
+        if stream is not None:
+            whole = stream.finished
         failsafe = failsafe_name(status.failsafe)
         return FlightEnd(
             whole=whole and failsafe is None and not self.interrupted,
             failsafe=failsafe,
             interrupted=self.interrupted,
             swap=swap,
+            stop=None if stream is None else stream.stop,
         )
 
 

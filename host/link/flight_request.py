@@ -7,6 +7,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.link.host_control import ControlStop, HostControl
 from trimtab.host.link.swap import SwapEnd
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
@@ -34,6 +35,8 @@ class FlightRequest:
         Minimum time from exposure to arrival; None if host and cameras share a clock.
     then
         Second reference. It is uploaded in flight and takes over `swap_us` after the start of the first.
+    control
+        Controller on the host that flies the reference. None: the vehicle flies it by its own law.
     """
 
     vehicle: Vehicle
@@ -50,8 +53,11 @@ class FlightRequest:
     camera_delay_us: int | None = None
     then: Reference | None = None
     swap_us: int = 0
+    control: HostControl | None = None
 
     def __post_init__(self) -> None:
+        if self.control is not None and self.then is not None:
+            raise UsageError("a controller on the host flies one reference; leave out the second one")
         for name, blob in (
             ("reference", self.reference),
             ("feed-forward", self.feedforward),
@@ -69,10 +75,12 @@ class FlightEnd:
     """How a flight ended.
 
     `whole`: the reference was flown to its end. `failsafe`: name of the failsafe that ended the flight, if
-    any. `swap`: outcome of the reference swap; None if none was requested.
+    any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a controller on the
+    host ended its commands early; None if it did not, or without one.
     """
 
     whole: bool
     failsafe: str | None
     interrupted: bool
     swap: SwapEnd | None = None
+    stop: ControlStop | None = None

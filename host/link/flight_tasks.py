@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import Protocol
 
 from trimtab.host.base.errors import LinkError
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.session import Session
-from trimtab.host.link.swap import Swap
 from trimtab.host.link.tasks import (
     PATIENCE_US,
     Task,
@@ -53,16 +53,28 @@ class AwaitPoses(Task):
             self.deadline_us = now_us + self.CHECK_US
 
 
+class Companion(Protocol):
+    """What the host does during a flight beside following it: a swap, or a controller's stream."""
+
+    wants: tuple[type[Message], ...]
+
+    @property
+    def deadline_us(self) -> int: ...
+    def status(self, client: Client, message: m.FcStatus, now_us: int) -> None: ...
+    def receive(self, client: Client, message: Message, now_us: int) -> None: ...
+    def advance(self, client: Client, now_us: int) -> None: ...
+
+
 class FollowFlight(Task):
     """Follow a flight. The result is the standby FC_STATUS after it. Raises LinkError after long silence."""
 
-    wants = (m.FcStatus, *Swap.wants)
     CHECK_US = 500_000
 
-    def __init__(self, on_phase: Callable[[m.FcStatus], None], swap: Swap | None) -> None:
+    def __init__(self, on_phase: Callable[[m.FcStatus], None], companion: Companion | None) -> None:
         super().__init__()
+        self.wants = (m.FcStatus,) if companion is None else (m.FcStatus, *companion.wants)
         self._on_phase = on_phase
-        self._swap = swap
+        self._companion = companion
         self._armed = False
 
     def begin(self, client: Client, now_us: int) -> None:
@@ -71,17 +83,17 @@ class FollowFlight(Task):
         self._wake()
 
     def _wake(self) -> None:
-        swap_us = NEVER_US if self._swap is None else self._swap.deadline_us
-        self.deadline_us = min(self._check_us, swap_us)
+        companion_us = NEVER_US if self._companion is None else self._companion.deadline_us
+        self.deadline_us = min(self._check_us, companion_us)
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
         if not isinstance(message, m.FcStatus):
-            if self._swap is not None:
-                self._swap.receive(client, message, now_us)
+            if self._companion is not None:
+                self._companion.receive(client, message, now_us)
                 self._wake()
             return
-        if self._swap is not None:
-            self._swap.status(client, message, now_us)
+        if self._companion is not None:
+            self._companion.status(client, message, now_us)
             self._wake()
         self._on_phase(message)
         if message.state > _STANDBY:
@@ -90,8 +102,8 @@ class FollowFlight(Task):
             self.finish(message)
 
     def advance(self, client: Client, now_us: int) -> None:
-        if self._swap is not None and now_us >= self._swap.deadline_us:
-            self._swap.advance(client, now_us)
+        if self._companion is not None and now_us >= self._companion.deadline_us:
+            self._companion.advance(client, now_us)
         if now_us < self._check_us:
             self._wake()
             return

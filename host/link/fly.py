@@ -10,6 +10,7 @@ from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector
 from trimtab.host.link.flight_request import FlightRequest
+from trimtab.host.link.host_control import STOP_WORDS
 from trimtab.host.link.ports import Cameras, open_port
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle
@@ -119,6 +120,12 @@ def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveSta
     if end.failsafe is not None:
         why = FAILSAFE_WORDS.get(end.failsafe, end.failsafe)
         raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {request.log_path}", result)
+    if end.stop is not None and request.control is not None:
+        raise FlightEnded(
+            f"the controller {request.control.name} {STOP_WORDS[end.stop]}; the vehicle has landed; "
+            f"its log is {request.log_path}",
+            result,
+        )
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {request.log_path}", result)
     if end.swap is not None and not end.swap.happened:

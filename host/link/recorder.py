@@ -10,12 +10,15 @@ import numpy as np
 
 from trimtab.host.link.client import Client, RadioCounts
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.control_stream import StepRecord
+from trimtab.host.link.host_control import HostControl
 from trimtab.host.log import LogWriter, topics
+from trimtab.host.log.provenance import HOST_CONTROL
 from trimtab.host.log.tracking import reference_at
 from trimtab.host.log.writer import Stamps
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.telemetry import (
     OVERTAKEN_TICKS,
@@ -30,6 +33,7 @@ DISPLAY_EVERY = 5
 """One in this many poses and references is also written for display."""
 _AGE_UNKNOWN_US = 6_553_500
 _FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
+_OFFBOARD = mavlink.TRIMTAB_STATE_OFFBOARD
 
 
 class Recorder:
@@ -61,6 +65,7 @@ class Recorder:
         self._observer: m.FcObserver | None = None
         self._first = self._flown = _FlownReference(reference)
         self._then = None if then is None else _FlownReference(then)
+        self._control_start_us: int | None = None
         self._poses = 0
         self._counts = LinkCounts(client)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
@@ -128,6 +133,40 @@ class Recorder:
         """Log a text message of the host."""
         log_us = now_us - self._arm_us
         self._log.text(log_us, log_us, mavlink.MAV_SEVERITY_INFO, text, "host")
+
+    def begin_control(self, control: HostControl, start_us: int, now_us: int) -> None:
+        """Log that a controller takes over; the reference starts at `start_us` on the vehicle's clock."""
+        self._control_start_us = start_us
+        self._first.start_tick = start_us // TICK_US
+        entries = {
+            "controller": control.name,
+            "settings_id": control.settings_id,
+            "period_us": str(control.controller.period_us),
+            "computing_us": str(control.computing_us),
+            "reference_start_us": str(start_us),
+        }
+        if control.model_id is not None:
+            entries["model_id"] = control.model_id
+        self._log.add_metadata(HOST_CONTROL, entries)
+        self.record_text(f"controller {control.name} takes over", now_us)
+
+    def control_step(self, record: StepRecord, now_us: int) -> None:
+        """Log a step of the controller on the host, after `begin_control`."""
+        assert self._control_start_us is not None
+        step, source_us = record.step, record.t_us + self._control_start_us
+        command = step.command
+        message = host_control_pb2.HostControl(
+            source_us=source_us,
+            reference_us=record.t_us,
+            outcome=cast(Any, int(step.status)),
+            iterations=step.iterations,
+            estimate_age_us=record.estimate_age_us,
+            act_us=record.act_us,
+            rate_cmd_rad_s=() if command is None else command.rate_frd,
+            collective_n=() if command is None else (command.collective_n,),
+            late_us=record.late_us,
+        )
+        self._log.write(topics.HOST_CONTROL, message, now_us - self._arm_us, self._publish_us(source_us))
 
     def _publish_us(self, vehicle_us: int) -> int:
         """Return the host time from arm of a vehicle stamp."""
@@ -229,6 +268,8 @@ class Recorder:
     def _follow(self, message: m.FcStatus, start_tick: int | None) -> None:
         """Update the start ticks of both references from a status."""
         then = self._then
+        if self._control_start_us is not None:
+            start_tick = self._control_start_us // TICK_US if message.state == _OFFBOARD else None
         if then is None or bytes(message.reference_id).hex() != then.id:
             self._first.start_tick = start_tick
             if then is not None:

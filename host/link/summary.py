@@ -10,7 +10,7 @@ from typing import Any
 from trimtab.host.link.drivers import DriveStatistics
 from trimtab.host.link.flight import FlightDirector
 from trimtab.host.link.flight_request import FlightEnd
-from trimtab.host.log import Flight, link_report, read_flight, topics
+from trimtab.host.log import Flight, control_report, link_report, read_flight, topics
 from trimtab.host.log.tracking import tracking_error
 
 
@@ -21,7 +21,8 @@ class FlightResult:
     `tracking_rmse_m` and `tracking_max_m` are None without a tracking phase.
     `end` is None if the host stopped following the flight before its end.
     `clipped_share` is the share of ticks in flight on which the motor commands were saturated.
-    `link` is described in `trimtab.host.log.link_report`.
+    `link` is described in `trimtab.host.log.link_report`, `control` in `trimtab.host.log.control_report`; it
+    is None if no controller on the host flew.
     """
 
     log: Path
@@ -33,6 +34,7 @@ class FlightResult:
     clipped_share: float | None
     realtime_factor: float
     link: Mapping[str, Any]
+    control: Mapping[str, Any] | None
     duration_s: float
 
     def to_json(self) -> dict[str, Any]:
@@ -51,7 +53,14 @@ class FlightResult:
             "failsafe": None if self.end is None else self.end.failsafe,
             "interrupted": self.end is None or self.end.interrupted,
             "swap": None if self.end is None or self.end.swap is None else self.end.swap.to_json(),
+            "control": self._control_json(),
         }
+
+    def _control_json(self) -> dict[str, Any] | None:
+        if self.control is None:
+            return None
+        stop = None if self.end is None else self.end.stop
+        return {**self.control, "stopped": None if stop is None else str(stop)}
 
     def to_lines(self) -> list[str]:
         """Return the lines of text for the terminal."""
@@ -69,6 +78,7 @@ class FlightResult:
                 f"{swap.reference} took over at {swap.at_s:.3f} s; sent in {swap.upload_s:.2f} s with "
                 f"{100.0 * swap.slots_share:.0f} % of the slots"
             )
+        lines += control_report.to_lines(None if self.control is None else dict(self.control))
         return lines + link_report.to_lines(dict(self.link))
 
 
@@ -86,6 +96,7 @@ def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> F
         clipped_share=_clipped_share(flight),
         realtime_factor=driven.realtime_factor,
         link=link_report.link_report(flight),
+        control=control_report.control_report(flight),
         duration_s=flight.duration_s,
     )
 

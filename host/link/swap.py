@@ -107,7 +107,7 @@ class Swap:
     it delays neither this pose nor the next one.
     """
 
-    wants = (m.UploadStatus, m.UploadVerdict)
+    wants: tuple[type[Message], ...] = (m.UploadStatus, m.UploadVerdict)
 
     def __init__(self, reference: Reference, at_us: int, poses: Callable[[], int]) -> None:
         self.deadline_us = NEVER_US

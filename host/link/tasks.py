@@ -107,7 +107,7 @@ class FindVehicle(Task):
             )
 
     def _ask(self, client: Client, now_us: int) -> None:
-        client.send(_command(mavlink.MAV_CMD_REQUEST_MESSAGE, (m.AutopilotVersion.id,)))
+        client.send(command_message(mavlink.MAV_CMD_REQUEST_MESSAGE, (m.AutopilotVersion.id,)))
         self.deadline_us = min(now_us + RETRY_US, self._end_us)
 
     def advance(self, client: Client, now_us: int) -> None:
@@ -177,7 +177,7 @@ class Command(Task):
         self._send(client, now_us)
 
     def _send(self, client: Client, now_us: int) -> None:
-        client.send(_command(self._number, self._parameters, min(self._confirmation, 255)))
+        client.send(command_message(self._number, self._parameters, min(self._confirmation, 255)))
         self._confirmation += 1
         self.deadline_us = now_us + RETRY_US
 
@@ -227,6 +227,21 @@ class FreshStatus(Task):
         raise LinkError("the vehicle reports no status, or does not finish booting; check the link")
 
 
+class FreshEstimate(Task):
+    """Wait for an FC_ESTIMATE, which is the result. Raises LinkError if none arrives."""
+
+    wants = (m.FcEstimate,)
+
+    def begin(self, client: Client, now_us: int) -> None:
+        self.deadline_us = now_us + PATIENCE_US
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        self.finish(message)
+
+    def advance(self, client: Client, now_us: int) -> None:
+        raise LinkError("the vehicle sends no estimate; check the link")
+
+
 class SettleClock(Task):
     """Wait until the clock comparison has settled. Raises LinkError if no answers come."""
 
@@ -245,6 +260,7 @@ class SettleClock(Task):
             self.deadline_us = now_us + self.CHECK_US
 
 
-def _command(number: int, parameters: tuple[float, ...] = (), confirmation: int = 0) -> Message:
+def command_message(number: int, parameters: tuple[float, ...] = (), confirmation: int = 0) -> Message:
+    """Return COMMAND_LONG for the vehicle; parameters that are not given are 0."""
     values = [float(value) for value in parameters] + [0.0] * (7 - len(parameters))
     return m.CommandLong(*m.VEHICLE, number, confirmation, *values)

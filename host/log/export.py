@@ -10,9 +10,9 @@ from typing import Any
 
 from trimtab.host.log.flight import scan_closed
 from trimtab.host.log.scan import Entry
-from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS
+from trimtab.host.log.topics import CONTROLLED_TOPICS, IMPORTED_TOPICS
 
-_KINDS = {topic.name: topic.message for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS)}
+_KINDS = {topic.name: topic.message for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS)}
 
 
 def file_name(topic: str) -> str:

@@ -17,6 +17,7 @@ from trimtab.host.log.composed import composed, swap_us
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.provenance import (
     FEEDFORWARD_FILE,
+    HOST_CONTROL,
     PARAMETERS,
     PROVENANCE,
     REFERENCE_FILE,
@@ -28,6 +29,7 @@ from trimtab.host.log.read_topics import (
     read_battery,
     read_control,
     read_estimate,
+    read_host_control,
     read_imu,
     read_inputs,
     read_link,
@@ -38,6 +40,7 @@ from trimtab.host.log.read_topics import (
 from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
 from trimtab.host.log.tracks import (
     Flight,
+    HostControl,
     failsafe_name,
 )
 from trimtab.host.vehicle import ConfigurationError, parse_vehicle
@@ -97,7 +100,11 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
     statuses = decoded(entries, topics.FC_STATUS, flight_pb2.Status)
     status = read_status(statuses, vehicle_shift_us)
     reference, reference_id, began_us = _flown_reference(attached, metadata, statuses)
-    tracking, whole = _tracking(statuses, reference, vehicle_shift_us, began_us)
+    host_control = read_host_control(entries, records.metadata.get(HOST_CONTROL), vehicle_shift_us)
+    if host_control is not None and reference is not None:
+        tracking, whole = _tracking_by_host(statuses, reference, vehicle_shift_us, host_control)
+    else:
+        tracking, whole = _tracking(statuses, reference, vehicle_shift_us, began_us)
     if tracking is None and "tracking_us" in metadata:
         start_us, end_us = metadata["tracking_us"].split()
         tracking, whole = (int(start_us), int(end_us)), True
@@ -127,6 +134,7 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         tracking_whole=whole,
         failsafe=failsafe_name(max((message.failsafe for _, message in statuses), default=0)),
         duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
+        host_control=host_control,
     )
 
 
@@ -191,3 +199,24 @@ def _tracking(
         return None, False
     end_us = max(message.source_us for message in in_tracking) - shift_us
     return ((start_us, end_us), False) if end_us > start_us else (None, False)
+
+
+def _tracking_by_host(
+    pairs: Sequence[tuple[Entry, Any]], reference: Reference, shift_us: int, steps: HostControl
+) -> tuple[tuple[int, int] | None, bool]:
+    """Return the tracking phase of a flight by a controller on the host, and whether it was whole.
+
+    The phase starts with the reference. It ends with the reference, with the last command, or when the
+    vehicle leaves OFFBOARD, whichever comes first.
+    """
+    start_us, end_us = steps.start_us, steps.start_us + reference.duration_us
+    if not steps.commanded.any():
+        return None, False
+    ends = [int(steps.act_us[steps.commanded].max())]
+    statuses = [(message.source_us - shift_us, message.state) for _, message in pairs]
+    began_us = int(steps.t_us[0])
+    ends += [t_us for t_us, state in statuses if t_us > began_us and state != State.OFFBOARD][:1]
+    last_us = min(ends)
+    if last_us >= end_us:
+        return (start_us, end_us), True
+    return ((start_us, last_us), False) if last_us > start_us else (None, False)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.log import link_report
+from trimtab.host.log import control_report, link_report
 from trimtab.host.log.flight import scan_closed, to_flight
 from trimtab.host.log.topics import MOCAP_POSE
 from trimtab.host.log.tracks import FAILSAFE_WORDS
@@ -37,6 +37,7 @@ def describe(path: Path) -> dict[str, Any]:
         "tracking_whole": flight.tracking_whole,
         "failsafe": flight.failsafe,
         "link": link_report.link_report(flight) if flight.kind == "flight" else None,
+        "control": control_report.control_report(flight),
         "recovered": "recovery" in records.metadata,
         "topics": topics,
         "provenance": dict(flight.metadata),
@@ -58,6 +59,7 @@ def to_lines(info: dict[str, Any]) -> list[str]:
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
     if info["failsafe"]:
         lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(info['failsafe'], info['failsafe'])}")
+    lines += control_report.to_lines(info["control"])
     if info["link"] is not None:
         lines += link_report.to_lines(info["link"])
     if info["recovered"]:

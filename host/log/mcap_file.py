@@ -62,7 +62,7 @@ class _Written:
 class McapFile:
     """An MCAP file that is being written to `sink`.
 
-    Metadata and attachments must come before the first message. A full chunk is written in one piece.
+    Attachments must come before the first message. A full chunk is written in one piece.
     """
 
     def __init__(self, sink: Sink, library: str = "trimtab") -> None:

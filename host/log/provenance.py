@@ -11,6 +11,8 @@ from trimtab.protocol.blobs import blob_id
 FORMAT = "1"
 PROVENANCE = "trimtab"
 PARAMETERS = "firmware_parameters"
+HOST_CONTROL = "host_control"
+"""Record of a controller on the host, written when it takes over."""
 VEHICLE_FILE = "vehicle.toml"
 REFERENCE_FILE = "flown.ref"
 FEEDFORWARD_FILE = "flown.ff"

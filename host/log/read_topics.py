@@ -15,6 +15,7 @@ from trimtab.host.log.tracks import (
     Control,
     Estimate,
     Floats,
+    HostControl,
     LinkHealth,
     Mocap,
     Observer,
@@ -23,7 +24,7 @@ from trimtab.host.log.tracks import (
     Status,
     Times,
 )
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 
 CAMERAS_SET_US = 25_000
 """Jump of the cameras' clock against the host's above which the clock was set."""
@@ -192,6 +193,38 @@ def read_link(entries: Mapping[str, Sequence[Entry]]) -> LinkHealth | None:
     if health is None or not reported:
         return health
     return replace(health, radios={name: getattr(reported[-1], name) for name in names})
+
+
+def read_host_control(
+    entries: Mapping[str, Sequence[Entry]], record: Mapping[str, str] | None, shift_us: int
+) -> HostControl | None:
+    """Return the steps of a controller on the host, described by `record`; None if the log has none."""
+    messages = [m for _, m in decoded(entries, topics.HOST_CONTROL, host_control_pb2.HostControl)]
+    if record is None or not messages:
+        return None
+    start_us = int(record["reference_start_us"]) - shift_us
+    commanded = np.array([len(message.collective_n) > 0 for message in messages])
+    rate_cmd, collective = np.zeros((len(messages), 3)), np.zeros(len(messages))
+    sent = [message for message, has_command in zip(messages, commanded, strict=True) if has_command]
+    rate_cmd[commanded] = _columns(sent, lambda m: m.rate_cmd_rad_s, 3)
+    collective[commanded] = _columns(sent, lambda m: m.collective_n, 1)[:, 0]
+    return HostControl(
+        t_us=start_us + _counts(messages, "reference_us"),
+        outcome=_counts(messages, "outcome"),
+        iterations=_counts(messages, "iterations"),
+        estimate_age_us=_counts(messages, "estimate_age_us"),
+        act_us=start_us + _counts(messages, "act_us"),
+        commanded=commanded,
+        rate_cmd=rate_cmd,
+        collective=collective,
+        late_us=_counts(messages, "late_us"),
+        start_us=start_us,
+        period_us=int(record["period_us"]),
+        computing_us=int(record["computing_us"]),
+        controller=record["controller"],
+        settings_id=record["settings_id"],
+        model_id=record.get("model_id"),
+    )
 
 
 def _optional(messages: Sequence[Any], name: str, width: int) -> Floats | None:

@@ -8,13 +8,14 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from google.protobuf.message import Message
 
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2
 
 MOCAP_POSE = "/mocap/pose"
 FC_ESTIMATE = "/fc/estimate"
 FC_CONTROL = "/fc/control"
 FC_STATUS = "/fc/status"
 REFERENCE = "/reference"
+HOST_CONTROL = "/host/control"
 LINK = "/link"
 LOG = "/log"
 DISPLAY_POSE = "/display/pose"
@@ -102,6 +103,18 @@ FLIGHT_TOPICS: tuple[Topic, ...] = (
     ),
 )
 """Topics of a flight's log."""
+
+CONTROLLED_TOPICS: tuple[Topic, ...] = (
+    *FLIGHT_TOPICS,
+    Topic(
+        name=HOST_CONTROL,
+        message=host_control_pb2.HostControl,
+        sampling="sampled",
+        rate="step rate",
+        content="steps of the controller on the host: outcome, age of the estimate, command and its time",
+    ),
+)
+"""Topics of the log of a flight by a controller on the host."""
 
 IMPORTED_TOPICS: tuple[Topic, ...] = (
     FLIGHT_TOPICS[0],

@@ -181,6 +181,32 @@ class LinkHealth(_Track):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class HostControl(_Track):
+    """Steps of a controller on the host that flew the vehicle.
+
+    A command of zeros where `commanded` is False was not sent. Times and `start_us`, the start of the
+    reference, are on the log's clock. `act_us` is when a command was to take effect; `late_us` is how much
+    later than declared it was sent. `outcome`: numbers as in flight.proto.
+    """
+
+    t_us: Annotated[Times, "steps"]
+    outcome: Annotated[Times, "steps"]
+    iterations: Annotated[Times, "steps"]
+    estimate_age_us: Annotated[Times, "steps"]
+    act_us: Annotated[Times, "steps"]
+    commanded: Annotated[NDArray[np.bool_], "steps"]
+    rate_cmd: Annotated[Floats, "steps 3"]
+    collective: Annotated[Floats, "steps"]
+    late_us: Annotated[Times, "steps"]
+    start_us: int
+    period_us: int
+    computing_us: int
+    controller: str
+    settings_id: str
+    model_id: str | None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedInputs(_Track):
     """Inputs of a foreign vehicle; `level` says which arrays are present.
 
@@ -226,7 +252,10 @@ class Battery(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """One flight or import. Absent data is None. `tracking` is the interval that learning and errors use."""
+    """One flight or import. Absent data is None. `tracking` is the interval that learning and errors use.
+
+    `host_control`: None if the vehicle flew its reference by its own law, or in an import.
+    """
 
     id: str
     path: Path
@@ -252,3 +281,10 @@ class Flight:
     failsafe: str | None
     """Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS."""
     duration_s: float
+    host_control: HostControl | None = None
+
+    @property
+    def flown_by_own_law(self) -> bool:
+        """Whether the reference and the law on board explain the flight: no other controller commanded."""
+        known = self.reference is not None and self.firmware_parameters is not None
+        return known and self.host_control is None

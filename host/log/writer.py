@@ -10,7 +10,7 @@ full, so a killed writer loses at most the last chunk. `trimtab.host.log.recover
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from io import RawIOBase
 from math import sqrt
 from pathlib import Path
@@ -146,6 +146,10 @@ class LogWriter:
             return False
         self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
         return True
+
+    def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
+        """Write a metadata record that is known only in flight."""
+        self._mcap.add_metadata(name, entries)
 
     def pose(
         self,

@@ -92,10 +92,10 @@ def flight_states(
     All flights at once take less time than one by one. Raises TooLittleData as `trimtab.host.log.prepare`
     does.
     """
-    return [_states(prepared) for prepared in prepare(flights, step_s=step_s, latency_s=latency_s)]
+    return [states_of(prepared) for prepared in prepare(flights, step_s=step_s, latency_s=latency_s)]
 
 
-def _states(prepared: Prepared) -> States:
+def states_of(prepared: Prepared) -> States:
     """Return the states of a flight that was smoothed."""
     flight, times_s = prepared.flight, prepared.at_s
     control, reference = flight.control, flight.reference

@@ -115,7 +115,8 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     ),
     Code.NO_INPUTS: lambda f: "no inputs recorded: only forces perpendicular to the thrust are observable",
     Code.NO_REFERENCE: lambda f: (
-        "no reference or no control law recorded: tracing uses segments, which determine timing less well"
+        "no reference or no control law recorded, or a controller on the host flew: tracing uses segments, "
+        "which determine timing less well"
     ),
     Code.NO_GYRO: lambda f: "no gyro: actuation delay and mocap latency are hard to distinguish",
     Code.SAMPLED_COMMANDS: lambda f: (

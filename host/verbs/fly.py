@@ -15,7 +15,9 @@ if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trimtab.host.link.flight_request import FlightRequest
+    from trimtab.host.link.host_control import FlownBy
     from trimtab.host.link.summary import FlightResult
+    from trimtab.host.vehicle import Vehicle
 
 CAMERA_DELAY_MS = 4.0
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace")
@@ -56,6 +58,11 @@ class FlyOptions:
         repeated.
     feedforward
         Feed-forward to fly with, a .ff file.
+    controller
+        Controller that flies, by name or path of its file. One on the host streams its commands; one on board
+        is set by parameters, which stay. Default: the law on board as the vehicle file has it.
+    model
+        Model file with the residual that the controller predicts with.
     then
         Reference to send in flight. It takes over at a point where it continues the first one.
     at
@@ -78,6 +85,8 @@ class FlyOptions:
     as_flashed: Annotated[bool, Parameter(negative="")] = False
     parameter: Annotated[tuple[str, ...], Parameter(negative="")] = ()
     feedforward: Path | None = None
+    controller: str | None = None
+    model: Path | None = None
     then: Path | None = None
     at: float | None = None
     output: Output = None
@@ -163,6 +172,7 @@ def _request(reference: Path, options: FlyOptions) -> FlightRequest:
         raise UsageError(f"--at {at:g} is not a time; give seconds of the first reference")
     at_us = None if at is None else round(1e6 * at)
     swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
+    by = _flown_by(options, vehicle)
     log = options.output or Path(f"{reference.stem}-{options.flight}.mcap")
     return FlightRequest(
         vehicle=vehicle,
@@ -173,12 +183,38 @@ def _request(reference: Path, options: FlyOptions) -> FlightRequest:
         cameras=options.mocap or "the camera system",
         upload=options.port is None,
         as_flashed=options.as_flashed,
-        parameters=_parameters(options.parameter),
+        parameters={**by.parameters, **_parameters(options.parameter)},
         model_id=model_of(reference),
         session={"seed": str(options.seed), "flight": str(options.flight), **_provenance()},
         camera_delay_us=None if options.port is None else round(1000 * options.mocap_delay_ms),
         then=following,
         swap_us=swap_us,
+        control=by.control,
+    )
+
+
+def _flown_by(options: FlyOptions, vehicle: Vehicle) -> FlownBy:
+    """Return what --controller and --model mean. Raises UsageError and what reading them raises."""
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.link.host_control import FlownBy
+
+    if options.controller is None:
+        if options.model is not None:
+            raise UsageError("--model needs --controller: it is the model that the controller predicts with")
+        return FlownBy()
+    from trimtab.host.effects import load_effects
+    from trimtab.host.link.controllers import flown_by
+    from trimtab.host.models.file import read_model
+    from trimtab.host.workspace import open_workspace
+
+    workspace = open_workspace(options.workspace)
+    return flown_by(
+        options.controller,
+        workspace.controller(options.controller),
+        vehicle,
+        feedforward=options.feedforward is not None,
+        model=None if options.model is None else read_model(options.model, vehicle_id=vehicle.id),
+        effects=load_effects(workspace.root),
     )
 
 

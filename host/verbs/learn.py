@@ -251,11 +251,15 @@ def _numbers(name: str, values: Mapping[str, float]) -> str:
 
 
 def _line(name: str, judged: Judged | None) -> str:
-    """Return the position error of whole flights before and after as text."""
+    """Return the position error of predictions before and after as text."""
+    from trimtab.host.learn.ahead import AHEAD_S
+
     if judged is None:
         return f"{name}: no flights; give flights of three references or more, or --hold-out"
     before, after = judged.base.position_rmse_m, judged.learned.position_rmse_m
     count = len(judged.flights)
     beyond = f"; {100.0 * judged.outside:.0f} % outside the trained region" if judged.outside else ""
     errors = f"{1e3 * before:.1f} mm before, {1e3 * after:.1f} mm after"
+    if judged.drive == "inputs":
+        return f"{name}: position error of {count} flights, predicted {AHEAD_S:g} s ahead, {errors}{beyond}"
     return f"{name}: position error of {count} predicted flights {errors}{beyond}"

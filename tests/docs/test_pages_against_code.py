@@ -21,15 +21,28 @@ from trimtab.host.imports.profiles import PROFILES
 from trimtab.host.imports.recording import Unknown
 from trimtab.host.imports.write import DECLARED_MASS_SIGMA
 from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
+from trimtab.host.link.control_stream import (
+    ALIGNED_RAD,
+    APPROACH_MAX_US,
+    ESTIMATE_AGE_MAX_US,
+    HOLD_US,
+    LEAD_US,
+    NEAR_M,
+    RESTING_US,
+    SLOW_M_S,
+)
 from trimtab.host.link.flight_tasks import SILENCE_US
+from trimtab.host.link.host_control import COMPUTING_US, ControlStop
 from trimtab.host.link.tasks import PATIENCE_US
-from trimtab.host.log import FLIGHT_TOPICS, IMPORTED_TOPICS
+from trimtab.host.log import IMPORTED_TOPICS
+from trimtab.host.log.control_report import LATE_US
+from trimtab.host.log.topics import CONTROLLED_TOPICS
 from trimtab.host.trace.decision.findings import Verdict
 from trimtab.host.trace.decision.rules import table as table_of_rules
 from trimtab.host.vehicle.strict_toml import Strict
-from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.generated.frames import MESSAGES
 from trimtab.protocol.messages import UploadState
+from trimtab.protocol.parameters import DEFAULTS
 from trimtab.protocol.upload import CHUNK_BYTES, SenderState
 from trimtab.protocol.uwb_pieces import FRAME_BYTES
 from trimtab.sitl.world import RadioSettings, SerialSettings, TimingSettings
@@ -101,6 +114,8 @@ def test_link_page_budget_adds_up() -> None:
     frames = [int(row[3].strip("*").partition(" ")[0]) for row in rows]
     assert sum(frames[:4]) == frames[4]
     assert frames[4] + frames[5] == 1_000_000 // RadioSettings().slot_us == 500
+    assert rows[6][2] == "51"
+    assert frames[6] < frames[5]
     for row in rows[:3]:
         assert int(row[2].rpartition("-")[2]) <= FRAME_BYTES
     left = frames[5] * CHUNK_BYTES
@@ -162,8 +177,8 @@ def test_link_page_names_every_state_message_and_time() -> None:
 
 OURS = [
     topic.message
-    for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS)
-    if hasattr(flight_pb2, topic.message.__name__)
+    for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS)
+    if topic.message.DESCRIPTOR.file.package == "trimtab"
 ]
 
 
@@ -179,10 +194,28 @@ def test_flight_log_page_names_every_field(message: type[Message]) -> None:
 
 def test_flight_log_page_names_every_topic_and_how_it_is_sampled() -> None:
     text = text_of("flight-log.md")
-    for topic in (*FLIGHT_TOPICS, *IMPORTED_TOPICS):
+    for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS):
         assert f"`{topic.name}`" in text
         for field in topic.averaged:
             assert re.search(rf"`{field}`.*\*\*means over the interval\*\*", text)
+
+
+def test_link_page_tells_the_times_of_a_controller_s_stream() -> None:
+    text = text_of("link.md")
+    for words in (
+        f"computing time ({1e-3 * COMPUTING_US:g} ms by default)",
+        f"within\n   {100 * NEAR_M:g} cm, {SLOW_M_S:g} m/s and {ALIGNED_RAD:g} rad of the first node",
+        f"for {1e-6 * RESTING_US:g} s",
+        f"The reference starts {1e-6 * LEAD_US:g} s later",
+        f"holds the last node for {1e-6 * HOLD_US:g} s",
+        f"no estimate for {1e-6 * ESTIMATE_AGE_MAX_US:g} s",
+        f"first node within {1e-6 * APPROACH_MAX_US:g} s",
+        f"`FS_OFFB_S` ({DEFAULTS['FS_OFFB_S']:g} s)",
+    ):
+        assert words in text, words
+    assert f"more than {1e-3 * LATE_US:g} ms after the declared" in text_of("json.md")
+    for stop in ControlStop:
+        assert f"`{stop}`" in text_of("json.md")
 
 
 @pytest.mark.full

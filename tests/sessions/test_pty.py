@@ -12,8 +12,10 @@ from pathlib import Path
 
 import pytest
 
+from tests.rate_controller import RateController
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_port
+from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.upload import upload_port
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import Vehicle
@@ -100,3 +102,29 @@ def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
     assert result.link["frames_lost"] > 0.08 * result.link["frames_sent"]
     assert result.tracking_rmse_m is not None
     assert result.tracking_rmse_m < 0.15
+
+
+@pytest.mark.full  # beside the flights of test_host_control.py in lock-step
+def test_pty_flight_by_a_controller_on_the_host(
+    vehicle: Vehicle, reference: Reference, mocap_url: str, tmp_path: Path
+) -> None:
+    with served("--port", "pty", "--mocap", mocap_url) as (port, end):
+        upload_port(reference, port)
+        order = FlightRequest(
+            vehicle=vehicle,
+            reference=reference,
+            log_path=tmp_path / "steered.mcap",
+            port=port,
+            upload=False,
+            camera_delay_us=4000,
+            control=HostControl(controller=RateController(vehicle), name="outer-loop", settings_id="0" * 12),
+        )
+        result = fly_port(order, port, mocap_url)
+        end()
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.15
+    steps = read_flight(result.log).host_control
+    assert steps is not None
+    assert len(steps) > 0.9 * (reference.duration_us + 2_000_000) / steps.period_us

@@ -20,7 +20,7 @@ STATES_IN_FLIGHT = range(3, 7)
 
 
 def budget() -> list[int]:
-    """Frames a second of the page's rows: poses, control, estimate, everything else, all, left."""
+    """Frames a second of the page's rows: poses, control, estimate, everything else, all, left, setpoints."""
     part = PAGE.read_text(encoding="utf-8").split("## Air budget\n", 1)[1]
     rows = re.search(r"(?:^\|.*\n)+", part, flags=re.MULTILINE)
     assert rows is not None
@@ -59,7 +59,7 @@ def test_flight_takes_the_frames_of_the_budget(session_tools: Any) -> None:
     ]
     seconds = (max(ticks) - min(ticks)) * 1e-3
     assert seconds > 10.0
-    poses, control, estimate, other, everything, left = budget()
+    poses, control, estimate, other, everything, left, _ = budget()
     assert counts["pose"] / seconds == pytest.approx(poses, rel=0.02)
     assert counts["control"] / seconds == pytest.approx(control, rel=0.02)
     assert counts["estimate"] / seconds == pytest.approx(estimate, rel=0.02)

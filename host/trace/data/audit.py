@@ -210,7 +210,7 @@ def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
     has_inputs = not without_inputs(flight)
     if not has_inputs:
         findings.append(Finding(code=Code.NO_INPUTS, log=log))
-    if flight.reference is None or flight.firmware_parameters is None:
+    if not flight.flown_by_own_law:
         findings.append(Finding(code=Code.NO_REFERENCE, log=log))
     if flight.control is None and (flight.recorded_imu is None or flight.recorded_imu.gyro is None):
         findings.append(Finding(code=Code.NO_GYRO, log=log))

@@ -102,22 +102,33 @@ def observable_effects(effects: Mapping[str, Effect], flights: Sequence[Flight])
 
 
 def drive_of(flights: Sequence[Flight]) -> Drive:
-    """Return "reference" if all flights hold a reference and the control law on board, else "inputs"."""
-    known = all(f.reference is not None and f.firmware_parameters is not None for f in flights)
-    return "reference" if known else "inputs"
+    """Return "reference" if the law on board, which is logged, flew every reference, else "inputs"."""
+    return "reference" if all(flight.flown_by_own_law for flight in flights) else "inputs"
 
 
 def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
     """Return the pairs of indices of repeat flights.
 
-    Repeat flights fly the same reference with the same feed-forward and the same firmware parameters. Under
-    another control law the vehicle flies differently, so the model errors of two flights differ too.
+    Repeat flights fly the same reference with the same feed-forward, the same firmware parameters and the
+    same controller on the host, if any. Under another control law the vehicle flies differently, so the model
+    errors of two flights differ too.
     """
     keys = [
-        (flight.reference_id, flight.metadata.get("feedforward_id"), flight.firmware_parameters)
+        (
+            flight.reference_id,
+            flight.metadata.get("feedforward_id"),
+            flight.firmware_parameters,
+            _host(flight),
+        )
         for flight in flights
     ]
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
+
+
+def _host(flight: Flight) -> tuple[str, str, str | None] | None:
+    """Return name, settings and model of the controller on the host that flew, None if none did."""
+    control = flight.host_control
+    return None if control is None else (control.controller, control.settings_id, control.model_id)
 
 
 def strata_of(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:

@@ -12,14 +12,12 @@ import numpy as np
 
 from trimtab.host.apps.paper.learning.flights import STEP_S, Flights, accelerations, cut
 from trimtab.host.apps.paper.learning.measure import Candidate
-from trimtab.host.learn.condensed import Condensed, CondensedSettings
+from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.learn.fit import Basis, Examples, fit
 from trimtab.host.learn.linear import effect_scales
+from trimtab.host.learn.supervised import label_examples
 from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
-
-_LABEL_SIGMA = 0.01
-"""m/s^2: small enough that what is known of an effect's size beforehand does not count."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -66,27 +64,14 @@ def train_supervised(
 
 
 def _examples(phi: Phi, labelled: Labelled) -> Examples:
-    """Return the regression as a condensed loss: u is compared with the label node by node."""
+    """Return the regression on the labels, with columns for phi's effects."""
     states, acceleration, drive = labelled.states, labelled.acceleration, labelled.drive
     count, nodes = states.shape[:2]
     nominal = accelerations(phi, phi.theta_neutral, None, states, drive)
-    columns = [np.tile(np.eye(3 * nodes), (count, 1, 1))]
+    moved = np.empty((count, 3 * nodes, len(phi.theta_names)))
     for i, scale in enumerate(effect_scales(phi)):
         theta = phi.theta_neutral.copy()
         theta[i] += scale
-        moved = accelerations(phi, theta, None, states, drive) - nominal
-        columns.append(moved.reshape(count, -1, 1))
-    columns.append(np.zeros((count, 3 * nodes, 1)))
-    scale = 1.0 / (_LABEL_SIGMA * np.sqrt(nodes))
-    jacobian = scale * np.concatenate(columns, axis=2)
-    label = scale * (acceleration - nominal).reshape(count, -1)
-    return Examples(
-        condensed=Condensed(
-            hessian=jacobian.swapaxes(1, 2) @ jacobian,
-            slope=-(jacobian.swapaxes(1, 2) @ label[:, :, None])[:, :, 0],
-            constant=(label**2).sum(1),
-            at=np.zeros((count, jacobian.shape[2])),
-            nodes=nodes,
-        ),
-        states=states[:, :, 3:9],
-    )
+        change = accelerations(phi, theta, None, states, drive) - nominal
+        moved[:, :, i] = change.reshape(count, -1)
+    return label_examples(states[:, :, 3:9], acceleration - nominal, moved)
