@@ -7,9 +7,13 @@ from pathlib import Path
 
 from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.base.errors import FlightFailed
+from trimtab.host.link.host_control import FlownBy
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
 from trimtab.host.plan.result import Plan
+from trimtab.protocol.blobs import FeedForward
+
+BY_THE_LAW_ON_BOARD = FlownBy()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -29,14 +33,31 @@ class Flown:
     failure: str | None = None
 
 
-def fly_plan(plan: Plan, field: Airfield, *, flight: int, log: Path, model_id: str | None = None) -> Flown:
+def fly_plan(
+    plan: Plan,
+    field: Airfield,
+    *,
+    flight: int,
+    log: Path,
+    model_id: str | None = None,
+    feedforward: FeedForward | None = None,
+    flown_by: FlownBy = BY_THE_LAW_ON_BOARD,
+) -> Flown:
     """Upload and fly a plan's reference, and return its errors; log and sealed truth remain.
 
     flight: index of the flight in its world. A flight that ends early or in failsafe has a `failure`; nothing
     is raised.
     """
     try:
-        result = field.fly(plan.reference, flight, log, model_id=model_id)
+        result = field.fly(
+            plan.reference,
+            flight,
+            log,
+            feedforward=feedforward,
+            parameters=flown_by.parameters,
+            control=flown_by.control,
+            model_id=model_id,
+        )
     except FlightFailed as error:
         return Flown(log=log, failure=str(error))
     error = tracking_error(read_flight(log))

@@ -12,12 +12,14 @@ from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Event
+from types import MappingProxyType
 from typing import Any
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import FlightFailed
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
+from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port
 from trimtab.host.link.vehicle import vehicle_class
@@ -59,15 +61,29 @@ class Airfield:
         log: Path,
         *,
         feedforward: FeedForward | None = None,
+        parameters: Mapping[str, float] = MappingProxyType({}),
+        control: HostControl | None = None,
         model_id: str | None = None,
     ) -> FlightResult:
-        """Fly with a new vehicle after uploading the blobs in lock-step, and return the result."""
+        """Fly with a new vehicle after uploading the blobs in lock-step, and return the result.
+
+        parameters: values to set on board before the flight, instead of the vehicle file's. control:
+        controller on the host, instead of the law on board.
+        """
         with closing(self.power_up(reference, flight)) as simulated:
             return self.fly_with(
-                simulated, reference, flight, log, feedforward=feedforward, model_id=model_id, upload=True
+                simulated,
+                reference,
+                flight,
+                log,
+                feedforward=feedforward,
+                parameters=parameters,
+                control=control,
+                model_id=model_id,
+                upload=True,
             )
 
-    def fly_with(
+    def fly_with(  # noqa: PLR0913 (one keyword for each choice)
         self,
         simulated: Any,
         reference: Reference,
@@ -75,6 +91,8 @@ class Airfield:
         log: Path,
         *,
         feedforward: FeedForward | None = None,
+        parameters: Mapping[str, float] = MappingProxyType({}),
+        control: HostControl | None = None,
         model_id: str | None = None,
         upload: bool = False,
     ) -> FlightResult:
@@ -89,7 +107,9 @@ class Airfield:
             log_path=log,
             port="simulated vehicle",
             upload=upload,
+            parameters=parameters,
             model_id=model_id,
+            control=control,
             session={**self.session, "flight": str(flight)},
         )
         before = _file_number(log)
