@@ -48,6 +48,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 EDGES: dict[str, tuple[str, ...]] = {
     "casadi": (
         "host.apps.bench.naive",
+        "host.apps.bench.naive_mpc",
         "host.apps.bench.rockit_ocp",
         "host.codegen",
         "host.control",

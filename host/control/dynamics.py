@@ -22,6 +22,7 @@ import casadi as ca
 import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.base.errors import UsageError
 from trimtab.host.codegen import CASADI
 from trimtab.host.effects import Effect
 from trimtab.host.models.airframe import RATE, THETA, Part, V
@@ -43,11 +44,13 @@ DISTURBANCE = slice(0, 3)
 def rate_lag_s(vehicle: Vehicle) -> tuple[float, float, float]:
     """Return the lag of the vehicle's rate loop about each body axis, (1 + K_d) / K_p.
 
-    Raises ValueError for a vehicle whose rate loop has no proportional gain.
+    Raises UsageError for a vehicle whose rate loop has no proportional gain.
     """
     gains = vehicle.gains
     if not min(gains.rate_p) > 0.0:
-        raise ValueError(f"gains.rate_p is {list(gains.rate_p)}, must be positive, or state rate_lag_s")
+        raise UsageError(
+            f"{vehicle.name}: gains.rate_p is {list(gains.rate_p)}; state rate_lag_s in the controller file"
+        )
     x, y, z = ((1.0 + d) / p for p, d in zip(gains.rate_p, gains.rate_d, strict=True))
     return x, y, z
 
@@ -71,7 +74,8 @@ class ControlModel:
     ) -> ControlModel:
         """Return the nominal vehicle with what `model` adds; `effects` is the library that it names.
 
-        lag_s: of the rate loop; None for that of the vehicle's gains. Raises ValueError for unknown effects.
+        lag_s: of the rate loop; None for that of the vehicle's gains. Raises ValueError for unknown effects,
+        and UsageError as `rate_lag_s` does.
         """
         return cls(
             vehicle=vehicle,

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import matrix_to_euler, quat_normalize, quat_to_matrix
+from trimtab.host.base.errors import UsageError
 from trimtab.host.control.adaptation import Adaptation
 from trimtab.host.control.dynamics import COLLECTIVE, STATES, ControlModel
 from trimtab.host.control.interface import ControlStep, RateCommand, SolveStatus, StateEstimate
@@ -45,10 +46,16 @@ class Mpc:
     ) -> None:
         """Build the solver. `model` is needed exactly if the settings ask for one; `effects`: its library.
 
-        Raises ValueError for a model that is missing or not wanted, and for unknown effects.
+        Raises UsageError for a model that is missing, not wanted or of another vehicle, and for a vehicle
+        whose rate loop has no proportional gain; ValueError for unknown effects.
         """
         if (model is not None) != (settings.residual == "model"):
-            raise ValueError(f'residual is "{settings.residual}", which does not go with model {model!r}')
+            remedy = "give a model file" if model is None else "leave the model out"
+            raise UsageError(f'the controller has residual = "{settings.residual}"; {remedy}')
+        if model is not None and model.vehicle_id != vehicle.id:
+            raise UsageError(
+                f"the model is of vehicle {model.vehicle_id}, not of {vehicle.name}; give another"
+            )
         self.settings = settings
         self._model = ControlModel.of(vehicle, settings.rate_lag_s, model, effects)
         cost = cost_parameters(settings, self._model)
@@ -141,6 +148,7 @@ class Mpc:
     def _solve(self, x0: Array, targets: Array, act_us: int) -> ControlStep:
         """Return the step from the state at `act_us`, starting at the plan before."""
         settings = self.settings
+        x0 = x0.copy()
         x0[_YAW] += 2.0 * math.pi * round((targets[0, _YAW] - x0[_YAW]) / (2.0 * math.pi))
         start = self._shifted(self._guess, act_us) or self._solver.start(targets)
         solution = self._solver.solve(

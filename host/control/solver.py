@@ -16,8 +16,9 @@ from numpy.typing import NDArray
 from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.control.dynamics import STATES, ControlModel
+from trimtab.host.control.feedback import GAINS
 from trimtab.host.control.interface import SolveStatus
-from trimtab.host.control.sweeps import GAINS, sweeps
+from trimtab.host.control.sweeps import sweeps
 from trimtab.host.control.targets import target_function
 
 Array = NDArray[np.float64]

@@ -13,7 +13,7 @@ from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen import CASADI, held_interrupts
 from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, ControlModel
-from trimtab.host.control.sweeps import network_value
+from trimtab.host.control.stage import network_value
 from trimtab.host.models.reference import FLAT_ROWS
 
 _ROUNDS = 2

@@ -42,6 +42,7 @@ NEAR_M, SLOW_M_S, ALIGNED_RAD = 0.05, 0.1, 0.1
 RESTING_US = 300_000
 """Time for which the estimate must be within these bounds."""
 
+_ON_THE_WAY = (mavlink.TRIMTAB_STATE_HOLD, mavlink.TRIMTAB_STATE_OFFBOARD)
 _PX4_OFFBOARD = 6.0
 _POSITION_AND_YAW = (
     mavlink.POSITION_TARGET_TYPEMASK_VX_IGNORE
@@ -137,6 +138,8 @@ class ControlStream:
             self._approach_us = self._setpoint_us = now_us
             self._command_us = now_us + SETPOINT_US  # the vehicle must know a setpoint first
             self.deadline_us = now_us
+        elif self._stage is Stage.APPROACHING and message.state not in _ON_THE_WAY:
+            self._end(ControlStop.START_MISSED)
         elif self._stage in (Stage.STREAMING, Stage.LANDING) and not self._offboard:
             self._end(ControlStop.LEFT_OFFBOARD)
 

@@ -17,7 +17,7 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure the speed of learning, planning and simulation, and the tracking error of plans.
+    """Measure the speed of learning, planning, control and simulation, and the tracking error of plans.
 
     Takes some minutes. If they are installed (`make bench`), JAX and diffrax compute the same gradient,
     rockit solves the same problem and minsnap-trajectories the same spline, which takes a minute more.
@@ -32,7 +32,7 @@ def command(
     courses
         Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
     """
-    from trimtab.host.apps.bench import flown, learning, planning, session
+    from trimtab.host.apps.bench import control, flown, learning, planning, session
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
@@ -42,12 +42,13 @@ def command(
         raise UsageError(f"--seed {seed} is negative; give 0 or more")
     size = planning.QUICK if quick else planning.Size()
     flights = flown.QUICK if quick else flown.Size()
+    controlled = control.QUICK if quick else control.Size()
     if courses is not None:
         if courses < 1:
             raise UsageError(f"--courses {courses}: give 1 or more")
         size = replace(size, success=courses)
     craft = open_workspace(workspace).vehicle(vehicle)
-    steps = len(learning.STEPS) + size.steps + flights.steps
+    steps = len(learning.STEPS) + size.steps + flights.steps + len(control.STEPS)
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
 
@@ -57,16 +58,19 @@ def command(
         learned = learning.measure(craft, seed, on_progress)
         planned = planning.measure(craft, seed, on_progress, size=size)
         compared = flown.measure(craft, seed, on_progress, size=flights)
+        mpc = control.measure(craft, seed, on_progress, size=controlled)
         progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
     say(
         *_learning_lines(learned),
         *_planning_lines(planned),
         *_flown_lines(compared),
+        *_control_lines(mpc),
         f"simulated sessions run {factor:.1f} times as fast as real time",
     )
     session_result = {"realtime_factor": factor}
-    emit({"learning": learned, "planning": planned, "flown": compared, "session": session_result}, json)
+    result = {"learning": learned, "planning": planned, "flown": compared, "control": mpc}
+    emit({**result, "session": session_result}, json)
 
 
 def _learning_lines(result: dict[str, Any]) -> list[str]:
@@ -159,6 +163,20 @@ def _flown_lines(result: dict[str, Any]) -> list[str]:
         low, high = result[f"{name}_ci95"]
         lines.append(f"  {label:<36} {result[name]:.2f} ({low:.2f} to {high:.2f})")
     return [*lines, *(f"    {failure}" for failure in result["failures"])]
+
+
+def _control_lines(result: dict[str, Any]) -> list[str]:
+    """Return the figures of the MPC as lines of text."""
+    naive = result["naive"]
+    return [
+        f"{result['controller']}, network {' x '.join(map(str, result['hidden']))}, processor time of "
+        f"{result['steps']} steps:",
+        f"  median                   {result['mpc_step_ms_p50']:8.2f} ms",
+        f"  99th percentile          {result['mpc_step_ms_p99']:8.2f} ms, {result['budget_spent']} steps "
+        "spent their budget",
+        f"  CasADi and Ipopt         {naive['ms']:8.2f} ms a problem, median of {naive['problems']}: "
+        f"{naive['over_ours']:.0f} times ours",
+    ]
 
 
 def _seconds(value: float | None) -> str:

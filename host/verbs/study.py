@@ -29,7 +29,7 @@ class StudyOptions:
     jobs
         Number of processes. Default: one for each core.
     quick
-        Run a small study to check that everything works. For link, paper-learning and paper-planning.
+        Run a small study to check that everything works. For link and the paper's studies.
     baselines
         Also score other methods on the same logs. For blind.
     real
@@ -61,8 +61,8 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     ----------
     name
         Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), link (uploads over
-        a lossy radio link, interrupted uploads, fuzzing), paper-learning, paper-planning (sections of the
-        paper).
+        a lossy radio link, interrupted uploads, fuzzing), paper-learning, paper-planning, paper-flight
+        (sections of the paper).
     """
     import os
 
@@ -120,5 +120,6 @@ def _write(folder: Path, outcome: Mapping[str, Any], provenance: Mapping[str, An
         artefacts.write_atomic(folder / f"{stem}.png", picture.png, force=True)
     artefacts.write_atomic(folder / REPORT_NAME, reporter.page(outcome, pictures, provenance), force=True)
     answer = {**outcome["answer"], "report": str(folder / REPORT_NAME)}
-    artefacts.write_atomic(folder / JSON_NAME, json_text({**answer, "scores": outcome["scores"]}), force=True)
+    record = {**answer, "provenance": provenance, "scores": outcome["scores"]}
+    artefacts.write_atomic(folder / JSON_NAME, json_text(record), force=True)
     return answer

@@ -10,6 +10,14 @@ import pytest
 from pydantic import BaseModel
 
 from trimtab.host.cli import VERBS, build_app
+from trimtab.host.control.settings import (
+    AdaptationSettings,
+    DfbcSettings,
+    GainsOverride,
+    MpcSettings,
+    Tuned,
+    Weights,
+)
 from trimtab.host.route import (
     Box,
     Cylinder,
@@ -32,6 +40,8 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglo
 @pytest.mark.parametrize(
     ("page", "models"),
     [
+        ("../concepts/controllers.md", (DfbcSettings, MpcSettings, GainsOverride, Weights)),
+        ("../concepts/controllers.md", (AdaptationSettings, Tuned)),
         ("vehicle-file.md", (Vehicle, Rotor, Battery, Limits, Gains)),
         ("route-file.md", (RouteFile, YawProfile, LimitsOverride, Gate, Box, Sphere, Cylinder)),
         ("route-file.md", (FigureEight, RandomWaypoints)),
@@ -40,7 +50,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglo
 def test_page_names_every_key(page: str, models: tuple[type[BaseModel], ...]) -> None:
     text = (ROOT / "docs" / "reference" / page).read_text()
     keys = {name for model in models for name in model.model_fields}
-    assert sorted(key for key in keys if not re.search(rf"[`\[]{key}[`\]]", text)) == []
+    assert sorted(key for key in keys if not re.search(rf"[`\[.]{key}[`\]]", text)) == []
 
 
 def test_route_pages_example_is_a_good_route() -> None:

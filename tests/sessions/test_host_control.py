@@ -29,7 +29,10 @@ from trimtab.host.log import Flight, describe, partial_path, read_flight, recove
 from trimtab.host.log.export import csv_tables
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at, tracking_error
+from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.data.logs import drive_of, repeat_flights_of
+from trimtab.host.trace.data.signals import FlightData
+from trimtab.host.trace.decision.findings import Code
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.generated import flight_pb2
@@ -240,6 +243,23 @@ def test_flight_by_a_controller_is_reproducible(
     assert logs[0] == logs[1]
 
 
+def test_vehicle_that_stands_elsewhere_goes_to_the_first_node_first(
+    fly: Fly, simulate: Simulate, vehicle: Vehicle, reference: Reference
+) -> None:
+    elsewhere = simulate(start_ned=(0.8, -0.5, 0.0), start_yaw=1.0)
+    result = fly(elsewhere, control=by_host(vehicle))
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.05
+    flight = read_flight(result.log)
+    assert flight.estimate is not None
+    assert flight.tracking is not None
+    k = np.searchsorted(flight.estimate.t_us, flight.tracking[0])
+    first = reference.nodes_ned()[0].state[:3]
+    assert np.linalg.norm(flight.estimate.p[k] - first) < 0.03
+
+
 def test_controller_flies_over_a_radio_that_loses_a_fifth_of_its_frames(
     fly: Fly, simulate: Simulate, vehicle: Vehicle
 ) -> None:
@@ -369,6 +389,9 @@ def test_flight_by_a_controller_is_predicted_from_its_inputs_and_repeats_only_it
     assert not by_controller.flown_by_own_law
     assert drive_of([by_law]) == "reference"
     assert drive_of([by_law, by_controller]) == "inputs"
+    for flight, without_law in ((by_law, False), (by_controller, True)):
+        codes = {finding.code for finding in audit(FlightData.of(flight)).findings}
+        assert (Code.NO_REFERENCE in codes) == without_law
     assert by_controller.host_control is not None
     other = dataclasses.replace(by_controller.host_control, settings_id="ba9876543210")
     again = dataclasses.replace(by_controller, host_control=other)

@@ -15,12 +15,14 @@ from typing import Any
 
 import pytest
 
+from tests.host.apps.paper.flight.made_up import made_up_world
 from trimtab.host import cli
+from trimtab.host.apps.bench import control, planning
 from trimtab.host.apps.bench import flown as bench_flown
 from trimtab.host.apps.bench import learning as bench
-from trimtab.host.apps.bench import planning
 from trimtab.host.apps.bench.session import realtime_factor
 from trimtab.host.apps.demo.compare import Comparison
+from trimtab.host.apps.paper.flight.summary import summary as flight_summary
 from trimtab.host.apps.paper.learning import noise
 from trimtab.host.apps.paper.learning.summary import summary as paper_summary
 from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS
@@ -322,6 +324,13 @@ def test_study_paper_planning_prints_what_the_page_says() -> None:
     check("study paper-planning", {**outcome["answer"], "report": "f/report.html"})
 
 
+def test_study_paper_flight_prints_what_the_page_says() -> None:
+    lost = {**made_up_world(), "failed": [{"flight": "ood-0, baseline", "why": "tilted"}]}
+    told = {"study": "paper-flight", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
+    outcome = flight_summary(told, {"world-00": {"result": lost}})
+    check("study paper-flight", {**outcome["answer"], "report": "f/report.html"})
+
+
 @pytest.mark.full  # a whole bench
 def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> None:
     row = {"name": "JAX", "gradient_ms": 1.0, "build_s": 1.0, "differs": 0.0}
@@ -353,4 +362,6 @@ def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> Non
     monkeypatch.setattr(bench_flown, "flown", lambda *of, **how: {"courses": [course, refused]})
     compared = bench_flown.measure(vehicle, 1, size=bench_flown.Size(worlds=1, courses=2))
     session = {"realtime_factor": realtime_factor(vehicle)}
-    check("bench", {"learning": found, "planning": planned, "flown": compared, "session": session})
+    mpc = control.measure(vehicle, 1, size=control.Size(steps=100, courses=1, peer_problems=3))
+    answer = {"learning": found, "planning": planned, "flown": compared, "control": mpc, "session": session}
+    check("bench", answer)

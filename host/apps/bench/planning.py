@@ -216,15 +216,15 @@ def region_of(vehicle: Vehicle) -> Region:
 
 
 def drag_model(
-    vehicle: Vehicle, seed: int, *, iterations: int = _FIT_ITERATIONS
+    vehicle: Vehicle, seed: int, *, hidden: tuple[int, ...] = _HIDDEN, iterations: int = _FIT_ITERATIONS
 ) -> tuple[ResidualModel, float]:
-    """Return a network 2 x 32 fitted to the drag, and its RMSE (m/s^2) on the samples of the fit."""
+    """Return a network fitted to the drag, 2 x 32 by default, and its RMSE (m/s^2) on the fit's samples."""
     rng = np.random.default_rng(seed)
     most = np.array([*[_SPEED_MAX_M_S] * 3, 0.8, 0.8, 0.3])[:, None]
     state = rng.uniform(-most, most, (6, _SAMPLES))
     R = np.array(euler_to_matrix(NUMPY, list(state[3:]))).reshape(3, 3, -1)  # of R_ned_frd
     wanted = -np.einsum("ijn,j,kjn,kn->in", R, DRAG, R, state[:3])
-    layout = Layout(hidden=_HIDDEN)
+    layout = Layout(hidden=hidden)
 
     def loss(xi: Array) -> tuple[float, Array]:
         error = layout.arrays(xi, state) - wanted

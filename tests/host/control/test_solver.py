@@ -8,9 +8,9 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tests.host.control.closed_loop import Plant, fly
 from tests.host.control.examples import DRAG, EFFECTS, NETWORK, VEHICLE, reference, settings
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.host.control.closed_loop import Plant, fly
 from trimtab.host.control.dynamics import STATES, ControlModel, rate_lag_s
 from trimtab.host.control.interface import SolveStatus
 from trimtab.host.control.mpc import Mpc, cost_parameters
@@ -120,7 +120,7 @@ def _solve(x0: np.ndarray, targets: np.ndarray) -> Solution:
 @functools.cache
 def _flown_problems() -> list[tuple[np.ndarray, np.ndarray]]:
     """States of a flight that a nominal controller loses to drag, half of them disturbed, and targets."""
-    flown = fly(Mpc(SETTINGS, VEHICLE), Plant(MODEL), reference(), MODEL.weight_n)
+    flown = fly(Mpc(SETTINGS, VEHICLE), Plant(MODEL), reference())
     rng = np.random.default_rng(5)
     spread = np.repeat([0.4, 1.0, 0.3, 1.5, 1.0], [3, 3, 3, 3, 1])
     problems = []

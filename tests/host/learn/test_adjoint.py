@@ -11,7 +11,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.learn.train import LOSS_SIGMA
-from trimtab.host.models.drive import FLIGHT
+from trimtab.host.models.drive import DRIVE_ROWS, FLIGHT
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
@@ -116,7 +116,7 @@ def test_gradient_by_effects_equals_finite_differences(make_states):
 def whole_step(count):
     """One RK4 step as a function that CasADi differentiates as a whole."""
     x, xi = casadi.MX.sym("x", PHI.size, count), casadi.MX.sym("xi", LAYOUT.size)
-    drives = [casadi.MX.sym(name, 22, count) for name in "abc"]
+    drives = [casadi.MX.sym(name, DRIVE_ROWS["reference"], count) for name in "abc"]
     flight = casadi.MX.sym("flight", len(FLIGHT), count)
     mapped = PHI.function.map(count)
 

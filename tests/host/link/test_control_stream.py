@@ -157,6 +157,17 @@ def test_vehicle_that_never_rests_is_landed() -> None:
     assert bench.stream.deadline_us == NEVER_US
 
 
+def test_vehicle_that_lands_on_the_way_gets_no_more_setpoints() -> None:
+    bench = Bench()
+    bench.report(HOLD)
+    bench.run(0.2)
+    bench.report(LANDING)
+    sent = len(bench.sent)
+    bench.run(1.0)
+    assert len(bench.sent) == sent
+    assert bench.stream.stop is ControlStop.START_MISSED
+
+
 @pytest.mark.parametrize("computing_us", [0, 3_000, 10_000, 25_000])
 def test_command_is_sent_when_the_computing_time_has_passed(computing_us: int) -> None:
     bench = Bench(computing_us=computing_us)

@@ -169,6 +169,7 @@ def _tracking_rmse(made: Plan) -> float:
     from trimtab.host.models.drive import flight_constants
     from trimtab.host.models.phi import Phi
     from trimtab.host.models.reference import flat_outputs
+    from trimtab.host.models.rollout import reference_drive
 
     phi = Phi(
         vehicle=VEHICLE, effects=tuple(effect for effect, _ in DRAG.parts), drive="reference", estimator=False
@@ -176,7 +177,7 @@ def _tracking_rmse(made: Plan) -> float:
     theta, constants, step_s = phi.theta(DRAG.parts), flight_constants(), 5e-3
     times = np.arange(0.0, made.duration_s, step_s / 2)
     flat = flat_outputs(made.reference, times)
-    drive = np.vstack([flat, np.zeros((6, len(times))), np.ones(len(times)), times])
+    drive = reference_drive(made.reference, times).T
     x = phi.hover(flat[:3, 0].tolist(), float(flat[12, 0]))
     errors = []
     for k in range(0, len(times) - 2, 2):

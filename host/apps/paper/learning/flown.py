@@ -9,13 +9,13 @@ from __future__ import annotations
 import hashlib
 import shutil
 from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from trimtab.host.apps.demo.flights import Airfield
+from trimtab.host.apps.paper.paths import Course, Room, draw_path, statistics
 from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import FlightFailed
 from trimtab.host.base.output import json_text
@@ -25,35 +25,20 @@ from trimtab.host.learn.evaluate import model_errors
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Layout
-from trimtab.host.plan.judge import judge
-from trimtab.host.plan.snap import optimise_durations
-from trimtab.host.plan.table import Table, evaluate, snap_table
 from trimtab.host.vehicle import Vehicle
-from trimtab.protocol.blobs import Reference, YawNode
 
 WORLD = "drawn"
 DECAYS = (1.0, 0.87, 0.75, 0.65)
 """Pace of each path's four flights."""
 OOD_PACE = 1.15
 
-_PATHS, _OOD_PATHS, _WAYPOINTS = 4, 3, 20
-_DURATION_S = 15.0
-_BOX_M = np.array([4.5, 4.5, 1.4])
-_LEG_M, _TURN_RAD = (1.0, 2.2), np.deg2rad(70.0)
-"""Legs between drawn waypoints and the most they turn, chosen for means near those of the paper's paths."""
-_MIDDLE_NED = np.array([0.0, 0.0, -1.6])
+ROOM = Room(
+    box_m=(4.5, 4.5, 1.4), middle_ned=(0.0, 0.0, -1.6), leg_m=(1.0, 2.2), turn_deg=70.0, duration_s=15.0
+)
+"""Legs and turns are chosen for means near those of the paper's paths."""
+
+_PATHS, _OOD_PATHS = 4, 3
 _TEST = 3
-_TRIES, _CANDIDATES = 50, 200
-
-
-@dataclass(frozen=True, kw_only=True)
-class Course:
-    """A reference, the set it belongs to (known, ood) and its name."""
-
-    name: str
-    out_of_distribution: bool
-    reference: Reference
-    table: Table
 
 
 def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
@@ -62,27 +47,13 @@ def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
     A path that violates the vehicle's limits at its fastest pace is drawn again.
     """
     rng = np.random.default_rng([seed, 1])
+    paces = dict(zip("abcd", DECAYS, strict=True))
     courses = []
     for k in range(_PATHS):
-        courses += _paced(rng, vehicle, f"path-{k}", dict(zip("abcd", DECAYS, strict=True)), ood=False)
+        courses += draw_path(rng, vehicle, ROOM, f"path-{k}", paces, out_of_distribution=False)
     for k in range(_OOD_PATHS):
-        courses += _paced(rng, vehicle, f"ood-{k}", {"": OOD_PACE}, ood=True)
+        courses += draw_path(rng, vehicle, ROOM, f"ood-{k}", {"": OOD_PACE}, out_of_distribution=True)
     return courses
-
-
-def statistics(courses: list[Course]) -> dict[str, float]:
-    """Return mean and standard deviation of speed, acceleration and jerk along references, every 20 ms."""
-    rows: list[np.ndarray] = []
-    for course in courses:
-        times = np.arange(0, course.table.times_us[-1], 20_000)
-        rows.append(np.stack([np.linalg.norm(row, axis=0) for row in evaluate(course.table, times)[1:4]]))
-    norms = np.concatenate(rows, axis=1)
-    names = ("speed_m_s", "acceleration_m_s2", "jerk_m_s3")
-    return {
-        f"{name}_{what}": float(value)
-        for name, row in zip(names, norms, strict=True)
-        for what, value in (("mean", row.mean()), ("sd", row.std()))
-    }
 
 
 def fly_and_learn(folder: Path, vehicle: Vehicle, seed: int, world: int) -> dict[str, Any]:
@@ -160,57 +131,6 @@ def _sets(
     ood = [c.name for c in courses if c.out_of_distribution and c.name in flown]
     sets = {"train": order[_TEST:], "test": order[:_TEST], "ood": ood}
     return {name: [flown[each] for each in names] for name, names in sets.items()}
-
-
-def _paced(
-    rng: np.random.Generator, vehicle: Vehicle, name: str, paces: Mapping[str, float], *, ood: bool
-) -> list[Course]:
-    """Return a path drawn and flown at these paces.
-
-    Raises ValueError where none that was drawn may be flown.
-    """
-    for _ in range(_TRIES):
-        waypoints = _walk(rng)
-        durations = optimise_durations(waypoints, _DURATION_S)
-        courses = []
-        for suffix, pace in paces.items():
-            table = snap_table(waypoints, durations / pace)
-            verdict = judge(table, [YawNode(0, 0.0, 0.0)], vehicle, vehicle.limits, ())
-            if not verdict.ok:
-                break
-            courses.append(
-                Course(
-                    name=f"{name}{suffix}",
-                    out_of_distribution=ood,
-                    reference=verdict.reference,
-                    table=verdict.table,
-                )
-            )
-        else:
-            return courses
-    raise ValueError(f"none of {_TRIES} drawn paths {name} may be flown by {vehicle.name}")
-
-
-def _walk(rng: np.random.Generator) -> np.ndarray:
-    """Return waypoints (20, 3) drawn in a box.
-
-    Each is the first drawn one that meets the bounds of a leg, or the one with the smallest turn of many.
-    """
-    points = [rng.uniform(-0.5, 0.5, 3) * _BOX_M]
-    way = np.zeros(3)
-    while len(points) < _WAYPOINTS:
-        best, straightest = points[-1], -np.inf
-        for candidate in rng.uniform(-0.5, 0.5, (_CANDIDATES, 3)) * _BOX_M:
-            leg = candidate - points[-1]
-            length = float(np.linalg.norm(leg))
-            ahead = float(leg @ way) / length if way.any() else 1.0
-            if _LEG_M[0] <= length <= _LEG_M[1] and ahead > straightest:
-                best, straightest = candidate, ahead
-                if ahead >= np.cos(_TURN_RAD):
-                    break
-        way = (best - points[-1]) / np.linalg.norm(best - points[-1])
-        points.append(best)
-    return _MIDDLE_NED + np.array(points)
 
 
 def _hash(purpose: str, seed: int, world: int) -> int:

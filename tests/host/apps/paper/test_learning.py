@@ -8,11 +8,12 @@ import pytest
 from trimtab.host.apps.paper.learning import transfer
 from trimtab.host.apps.paper.learning.curves import nominal_errors
 from trimtab.host.apps.paper.learning.flights import DRAG, STEP_S, Flights, accelerations, cut, make_flights
-from trimtab.host.apps.paper.learning.flown import draw_courses, statistics
+from trimtab.host.apps.paper.learning.flown import draw_courses
 from trimtab.host.apps.paper.learning.measure import Candidate, acceleration_error, position_error_m
 from trimtab.host.apps.paper.learning.methods import CLOSED, exact_segments, phi_of
 from trimtab.host.apps.paper.learning.noise import observe
 from trimtab.host.apps.paper.learning.supervised import CondensedSettings, label, train_supervised
+from trimtab.host.apps.paper.paths import statistics
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.vehicle import load_vehicle
 

@@ -1,0 +1,1 @@
+"""The paper's section VI through the whole chain: plan, firmware, radio, log, learn, plan again."""

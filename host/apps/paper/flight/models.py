@@ -1,0 +1,135 @@
+"""The two ways of learning in table II, and the prediction errors of a model."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from trimtab.host.effects import Effect
+from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
+from trimtab.host.learn.evaluate import Errors, model_parts, whole_flights
+from trimtab.host.learn.learn import region
+from trimtab.host.learn.train import train
+from trimtab.host.log import Flight
+from trimtab.host.models.model import Model
+from trimtab.host.models.network import Network
+from trimtab.host.models.phi import Phi
+from trimtab.host.models.rollout import roll_out
+from trimtab.host.models.segments import cut
+from trimtab.host.models.states import States, flight_states
+
+PAPER, OURS = "paper", "ours"
+SEGMENT_STEPS = 24
+"""Steps of 20 ms between the 25 nodes of a segment (paper VI-B.2)."""
+PAPER_WEIGHT = np.array([1.0, 1.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0])
+"""Diagonal of L (paper VI-B.2), for position, velocity, Euler angles and body rate."""
+PAPER_SETTINGS = Settings(
+    hidden=(32, 32, 32),
+    epochs=40,
+    batch=16,
+    rate=1e-3,
+    l2=0.0,
+    patience=40,
+    any_heading=False,
+    free_start=False,
+)
+"""As in the paper (VI-B.2): starts as measured, headings as flown, no penalty and no early stop."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Prediction:
+    """Errors of a model: of whole flights driven by the reference, and of segments of 25 nodes."""
+
+    flights: Errors
+    segments: Errors
+
+    def to_json(self) -> dict[str, dict[str, float | None]]:
+        """Return the errors; None where a roll-out diverged."""
+        return {"flights": self.flights.to_json(), "segments": self.segments.to_json()}
+
+
+def learn_as_paper(flights: Sequence[Flight], seed: int, *, epochs: int = PAPER_SETTINGS.epochs) -> Model:
+    """Return the network of Algorithms 1 and 2 with the settings of section VI-B.2.
+
+    The paper names no validation set: the network of the epoch with the least loss of the training segments
+    is taken.
+    """
+    states = flight_states(flights)
+    phi = Phi(vehicle=flights[0].vehicle, estimator=False, parameters=states[0].parameters)
+    segments = cut(states, phi, steps=SEGMENT_STEPS)
+    settings = replace(PAPER_SETTINGS, epochs=epochs, patience=epochs)
+    trained = train(
+        phi,
+        phi.theta_neutral,
+        segments,
+        segments,
+        settings,
+        np.random.default_rng(seed),
+        weight=PAPER_WEIGHT,
+    )
+    return Model(
+        vehicle_id=phi.vehicle.id,
+        vehicle_name=phi.vehicle.name,
+        network=trained.network,
+        region=region(states),
+        data=tuple(sorted(state.flight_id for state in states)),
+    )
+
+
+def learn_as_ours(flights: Sequence[Flight], effects: Mapping[str, Effect], seed: int) -> tuple[Model, str]:
+    """Return the model of the condensed loss with free starts, and the learned part that was selected.
+
+    The settings are the defaults of `trimtab learn`. No flights are held out: those of the test are the
+    study's.
+    """
+    found = learn(
+        flights,
+        effects=effects,
+        settings=CondensedSettings(),
+        forms=DEFAULT_FORMS,
+        hold_out=(),
+        seed=seed,
+    )
+    return found.model, found.selected.what
+
+
+def predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> Prediction:
+    """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone."""
+    states = flight_states(flights)
+    parts = model_parts(model, effects)
+    phi = Phi(
+        vehicle=flights[0].vehicle,
+        effects=tuple(effect for effect, _ in parts),
+        parameters=states[0].parameters,
+    )
+    theta, network = phi.theta(parts), None if model is None else model.network
+    return Prediction(
+        flights=whole_flights(phi, theta, states, network),
+        segments=_segments(phi, theta, states, network),
+    )
+
+
+def _segments(phi: Phi, theta: np.ndarray, states: Sequence[States], network: Network | None) -> Errors:
+    """Return the errors of segments predicted from their measured starts, over all nodes but the first."""
+    segments = cut(states, phi, steps=SEGMENT_STEPS)
+    predicted = roll_out(
+        phi,
+        x0=segments.x0.T,
+        drive=segments.drive.transpose(1, 2, 0),
+        flight=segments.constants.T,
+        theta=theta,
+        step_s=segments.step_s,
+        network=network,
+        compiled=True,
+    )
+    error = predicted.transpose(2, 0, 1)[:, 1:, :6] - segments.measured[:, 1:, :6]
+    return Errors(
+        position_rmse_m=_rms_norm(error[..., :3]),
+        velocity_rmse_m_s=_rms_norm(error[..., 3:]),
+    )
+
+
+def _rms_norm(error: np.ndarray) -> float:
+    return float(np.sqrt((error**2).sum(-1).mean()))
