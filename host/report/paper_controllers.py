@@ -23,8 +23,8 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
         if any(values for each in errors.values() for values in each.values()):
             drawn[f"{flown.family}-{flown.regressor}"] = flight_figures.boxes(
                 errors,
-                f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: mean error of each flight of "
-                "the balanced design, by trajectory and controller. Boxes hold half of the points, whiskers "
+                f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: mean error of each "
+                "flight of the balanced design, by trajectory and controller. Boxes hold half of the points, whiskers "
                 "nine tenths; every flight that was flown to its end is a point.",
             )
     return drawn
@@ -36,7 +36,7 @@ def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Ma
 
 
 def _errors_mm(cells: Any, flown: Set) -> dict[str, dict[str, list[float]]]:
-    """Return the errors of the flights of a set, mm, by trajectory and controller; failed ones are not drawn."""
+    """Return the errors of the flights of a set, mm, by trajectory and controller, without failed ones."""
     return {
         kind: {
             controller.title: [

@@ -5,7 +5,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from typing import Any, Protocol
 
-from trimtab.host.report import calibrate, link, paper_flight, paper_learning, paper_planning, study
+from trimtab.host.report import (
+    calibrate,
+    link,
+    paper_controllers,
+    paper_flight,
+    paper_learning,
+    paper_planning,
+    study,
+)
 from trimtab.host.report.figures import Figure
 
 
@@ -29,6 +37,7 @@ REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
     "link": link,
+    "paper-controllers": paper_controllers,
     "paper-flight": paper_flight,
     "paper-learning": paper_learning,
     "paper-planning": paper_planning,

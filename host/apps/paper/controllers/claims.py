@@ -8,7 +8,7 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.apps.paper.controllers.statistics import Effect, effect, error_m, holm
+from trimtab.host.apps.paper.controllers.statistics import FAILED_M, Effect, effect, error_m, holm
 from trimtab.host.apps.paper.controllers.table import (
     BASELINE,
     FAMILIES,
@@ -112,10 +112,19 @@ def compare(cells: Sequence[Cell], one: Key, other: Key) -> Effect:
     return over_courses(cells, lambda cell: [cell.errors_m[one] / cell.errors_m[other]])
 
 
-def spread(cell: Cell, trajectory: str) -> float:
-    """Return the standard deviation of the logarithm of the error over the controllers of a cell."""
-    errors = [error for (_, flown), error in cell.errors_m.items() if flown == trajectory]
-    return float(np.std(np.log(errors)))
+def spread_ratio(cell: Cell) -> float:
+    """Return the spread of the controllers on min-residual* over that on min-snap.
+
+    The spread is the standard deviation of the logarithm of the error. With a failure it counts as greatest.
+    """
+    spreads, failed = [], []
+    for trajectory in (MIN_RESIDUAL_STAR, MIN_SNAP):
+        errors = [error for (_, flown), error in cell.errors_m.items() if flown == trajectory]
+        spreads.append(float(np.std(np.log(errors))))
+        failed.append(max(errors) >= FAILED_M)
+    if any(failed):
+        return FAILED_M ** (failed[0] - failed[1])
+    return spreads[0] / spreads[1]
 
 
 def claims(cells: Sequence[Cell]) -> list[dict[str, Any]]:
@@ -149,9 +158,7 @@ def _of_set(cells: Sequence[Cell], family: Family, regressor: Regressor) -> dict
             compare(cells, (BASELINE.name, MIN_RESIDUAL), (FEEDFORWARD.name, MIN_SNAP))
         ]
     found["star-lifts-all"] = [compare(cells, (name, MIN_RESIDUAL_STAR), (name, MIN_SNAP)) for name in names]
-    found["star-makes-alike"] = [
-        over_courses(cells, lambda cell: [spread(cell, MIN_RESIDUAL_STAR) / spread(cell, MIN_SNAP)])
-    ]
+    found["star-makes-alike"] = [over_courses(cells, lambda cell: [spread_ratio(cell)])]
     found["star-better-than-plain"] = [
         over_courses(
             cells,

@@ -22,7 +22,7 @@ CONTROLLERS = {
     "mpc-traced": 0.3,
 }
 """Share of the baseline's error that each controller leaves on min-snap."""
-SHARES = {MIN_RESIDUAL: 0.7, MIN_RESIDUAL_STAR: 0.6}
+SHARES = {MIN_RESIDUAL: 0.7, MIN_RESIDUAL_STAR: 0.3}
 """Share of the error on min-snap that a trajectory leaves; 1 for the others."""
 
 

@@ -12,7 +12,9 @@ WORLD = [cell for course in range(COURSES) for cell in cells(course)]
 
 
 def test_set_flies_once_at_each_speed_and_on_three_courses_of_a_world():
-    assert Counter((cell.flown, cell.speed) for cell in WORLD) == {(s, speed): 1 for s in SETS for speed in SPEEDS}
+    assert Counter((cell.flown, cell.speed) for cell in WORLD) == {
+        (s, speed): 1 for s in SETS for speed in SPEEDS
+    }
     courses = {flown: {cell.course for cell in WORLD if cell.flown == flown} for flown in SETS}
     assert {len(found) for found in courses.values()} == {3}
 
@@ -31,7 +33,9 @@ def test_controller_flies_every_trajectory_equally_often_with_each_of_its_regres
         for kind in TRAJECTORIES
     )
     assert set(flights.values()) == {3}
-    assert set(flights) == {(c.name, r, kind) for c in CONTROLLERS for r in c.regressors for kind in TRAJECTORIES}
+    assert set(flights) == {
+        (c.name, r, kind) for c in CONTROLLERS for r in c.regressors for kind in TRAJECTORIES
+    }
 
 
 def test_baseline_flies_its_anchors_in_every_cell():

@@ -8,7 +8,12 @@ from tests.host.apps.paper.controllers.made_up import BASE_M, error_m, pieces
 from trimtab.host.apps.paper.controllers.design import COURSES
 from trimtab.host.apps.paper.controllers.statistics import FAILED_M
 from trimtab.host.apps.paper.controllers.summary import summary
-from trimtab.host.apps.paper.controllers.table import CONTROLLERS, MIN_RESIDUAL, MIN_RESIDUAL_STAR, TRAJECTORIES
+from trimtab.host.apps.paper.controllers.table import (
+    CONTROLLERS,
+    MIN_RESIDUAL,
+    MIN_RESIDUAL_STAR,
+    TRAJECTORIES,
+)
 
 
 def test_rows_are_medians_with_intervals_and_ratios_to_the_baseline_of_the_cell():
