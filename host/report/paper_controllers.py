@@ -23,9 +23,9 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
         if any(values for each in errors.values() for values in each.values()):
             drawn[f"{flown.family}-{flown.regressor}"] = flight_figures.boxes(
                 errors,
-                f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: mean error of each "
-                "flight of the balanced design, by trajectory and controller. Boxes hold half of the points, whiskers "
-                "nine tenths; every flight that was flown to its end is a point.",
+                f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: mean error of each flight "
+                "of the balanced design that was flown to its end, by trajectory and controller. Boxes hold "
+                "half of the points, whiskers nine tenths.",
             )
     return drawn
 

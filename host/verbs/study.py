@@ -61,8 +61,8 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     ----------
     name
         Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), link (uploads over
-        a lossy radio link, interrupted uploads, fuzzing), paper-learning, paper-planning, paper-flight
-        (sections of the paper).
+        a lossy radio link, interrupted uploads, fuzzing), paper-learning, paper-planning,
+        paper-controllers or paper-flight (sections of the paper).
     """
     import os
 
