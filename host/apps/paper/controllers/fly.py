@@ -172,16 +172,8 @@ def fly_controller(
             found = {"failed": f"controller: {flies}"}
         else:
             stem = f"{course.route.name}-{controller.name}-{regressor}-{kind.replace('*', 's')}"
-            found = _figures(made) | _fly(site, course, flies, made, logs / f"{stem}.mcap")
+            found = _fly(site, course, flies, made, logs / f"{stem}.mcap")
         yield row | {"trajectory": kind} | found
-
-
-def _figures(made: Plan) -> Row:
-    return {
-        "path_length_m": made.path_length_m,
-        "mean_speed_m_s": made.mean_speed_m_s,
-        "outside_region": made.outside_region,
-    }
 
 
 def _fly(site: Site, course: Course, flies: Pilot, made: Plan, log: Path) -> Row:
