@@ -16,6 +16,8 @@ from scipy.stats import wilcoxon
 
 FAILED_M = 11.0
 """Error that counts for a failed plan or flight: more than the diagonal of the room."""
+LEAST_COURSES = 5
+"""Courses, or cells, from which on there is an interval: bootstraps of fewer are too narrow."""
 _SAMPLES = 10_000
 
 
@@ -24,7 +26,7 @@ class Effect:
     """A ratio of errors: median over courses, 95 % of bootstraps over courses, and its test.
 
     p: two-sided Wilcoxon signed-rank test of the logarithms against 0. better: courses with a ratio below 1.
-    All but the counts are None without values.
+    All but the counts are None without values, and the interval with fewer than LEAST_COURSES.
     """
 
     median: float | None
@@ -54,8 +56,10 @@ def error_m(row: Mapping[str, Any]) -> float:
     return FAILED_M if row["failed"] is not None else row["error_mean_m"]
 
 
-def interval(values: Sequence[float]) -> tuple[float, float]:
-    """Return 95 % of the bootstraps of the median."""
+def interval(values: Sequence[float]) -> tuple[float, float] | None:
+    """Return 95 % of the bootstraps of the median; None for fewer values than LEAST_COURSES."""
+    if len(values) < LEAST_COURSES:
+        return None
     given = np.asarray(values, dtype=float)
     drawn = np.random.default_rng(0).integers(len(given), size=(_SAMPLES, len(given)))
     low, high = np.percentile(np.median(given[drawn], axis=1), [2.5, 97.5])
@@ -67,10 +71,10 @@ def effect(ratios_by_course: Mapping[Any, Sequence[float]]) -> Effect:
     logs = np.array([np.median(np.log(ratios)) for ratios in ratios_by_course.values() if len(ratios)])
     if not len(logs):
         return Effect(median=None, ci95=None, p=None, courses=0, better=0)
-    low, high = interval(logs.tolist())
+    ci = interval(logs.tolist())
     return Effect(
         median=float(np.exp(np.median(logs))),
-        ci95=(float(np.exp(low)), float(np.exp(high))),
+        ci95=None if ci is None else (float(np.exp(ci[0])), float(np.exp(ci[1]))),
         p=_signed_rank(logs),
         courses=len(logs),
         better=int((logs < 0.0).sum()),

@@ -72,6 +72,7 @@ def rows_of(cells: Sequence[Cell], results: Sequence[Result]) -> list[Row]:
             for trajectory in TRAJECTORIES:
                 key = controller.name, trajectory
                 errors = [cell.errors_m[key] for cell in chosen_cells]
+                ci = interval(errors)
                 over = over_courses(
                     chosen_cells, lambda cell, key=key: [cell.errors_m[key] / cell.baseline_m]
                 )
@@ -87,7 +88,7 @@ def rows_of(cells: Sequence[Cell], results: Sequence[Result]) -> list[Row]:
                             for row in lost
                         ),
                         "error_mean_m": float(np.median(errors)) if errors else None,
-                        "ci95_m": list(interval(errors)) if errors else None,
+                        "ci95_m": None if ci is None else list(ci),
                         "over_baseline": over.to_json(),
                     }
                 )

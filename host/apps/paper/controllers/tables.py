@@ -50,14 +50,16 @@ def _claims(claims: Sequence[Mapping[str, Any]]) -> list[Cells]:
             "effect": interval(row["effect"], row["ci95"]),
             "p, Holm": number(row["p_holm"], ".3g"),
             "courses": str(row["courses"]),
-            "": "not measured"
-            if row["ci95"] is None
-            else "confirmed"
-            if row["confirmed"]
-            else "not confirmed",
+            "": _verdict(row),
         }
         for row in claims
     ]
+
+
+def _verdict(row: Mapping[str, Any]) -> str:
+    if row["ci95"] is None:
+        return "too few courses"
+    return "confirmed" if row["confirmed"] else "not confirmed"
 
 
 def _chosen(figures: Mapping[str, Any]) -> list[Cells]:
@@ -96,9 +98,9 @@ def _errors(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[Cel
 
 def _millimetres(row: Mapping[str, Any]) -> str:
     """Return the median error with its interval, and how many flights failed, as text."""
-    low, high = row["ci95_m"]
+    ci = "" if row["ci95_m"] is None else f" ({1e3 * row['ci95_m'][0]:.0f}-{1e3 * row['ci95_m'][1]:.0f})"
     lost = f", {row['failed']} failed" if row["failed"] else ""
-    return f"{1e3 * row['error_mean_m']:.0f} ({1e3 * low:.0f}-{1e3 * high:.0f}){lost}"
+    return f"{1e3 * row['error_mean_m']:.0f}{ci}{lost}"
 
 
 def _full(rows: Sequence[Mapping[str, Any]]) -> list[Cells]:
@@ -179,5 +181,5 @@ def number(value: float | None, form: str) -> str:
 
 
 def interval(value: float | None, ci95: Sequence[float] | None) -> str:
-    """Return a median and its interval as text."""
-    return "" if value is None or ci95 is None else f"{value:.2f} ({ci95[0]:.2f}-{ci95[1]:.2f})"
+    """Return a median and its interval as text, each if there is one."""
+    return number(value, ".2f") + ("" if ci95 is None else f" ({ci95[0]:.2f}-{ci95[1]:.2f})")

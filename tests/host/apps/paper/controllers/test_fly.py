@@ -64,11 +64,13 @@ def test_timed_controller_passes_everything_on_and_forgets_times_of_the_flight_b
     inner = Echo()
     controller = TimedController(inner)
     reference = plan(HOP, VEHICLE).reference
-    estimate = StateEstimate(0, (0.0,) * 3, (0.0,) * 3, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3))
+    zero = (0.0, 0.0, 0.0)
+    estimate = StateEstimate(0, zero, zero, (1.0, 0.0, 0.0, 0.0), (0.1, 0.2, 0.3))
     assert controller.period_us == 25_000
-    for _ in range(2):
-        controller.begin(reference)
-        found = controller.step(estimate, [], 35_000)
+    controller.begin(reference)
+    controller.step(estimate, [], 10_000)
+    controller.begin(reference)
+    found = controller.step(estimate, [], 35_000)
     assert found.command == RateCommand(35_000, (0.1, 0.2, 0.3), 0.0)
     assert inner.begun == [reference, reference]
     assert len(controller.steps_ms) == 1

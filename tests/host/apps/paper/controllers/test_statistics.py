@@ -6,16 +6,29 @@ import math
 
 import pytest
 
-from trimtab.host.apps.paper.controllers.statistics import FAILED_M, effect, error_m, holm, interval
+from trimtab.host.apps.paper.controllers.statistics import (
+    FAILED_M,
+    LEAST_COURSES,
+    effect,
+    error_m,
+    holm,
+    interval,
+)
 from trimtab.host.apps.paper.planning.courses import BOX_M
 
 
 def test_effect_is_the_median_over_courses_of_each_course_s_median():
-    found = effect({"a": [0.5, 0.5, 8.0], "b": [0.25], "c": [2.0]})
+    found = effect({"a": [0.5, 0.5, 8.0], "b": [0.25], "c": [2.0], "d": [0.25], "e": [2.0]})
     assert found.median == pytest.approx(0.5)
-    assert (found.courses, found.better) == (3, 2)
+    assert (found.courses, found.better) == (5, 3)
     assert found.ci95 == pytest.approx((0.25, 2.0))
     assert not found.confirmed
+
+
+def test_effect_of_few_courses_has_no_interval_and_confirms_nothing():
+    found = effect({k: [0.5] for k in range(LEAST_COURSES - 1)})
+    assert (found.median, found.ci95, found.confirmed) == (pytest.approx(0.5), None, False)
+    assert effect({k: [0.5] for k in range(LEAST_COURSES)}).confirmed
 
 
 def test_effect_p_is_that_of_the_exact_signed_rank_test():
@@ -37,7 +50,7 @@ def test_effect_without_courses_has_no_numbers():
 
 
 def test_interval_of_equal_values_is_that_value_and_repeats():
-    assert interval([0.2, 0.2, 0.2]) == (0.2, 0.2)
+    assert interval([0.2] * 5) == (0.2, 0.2)
     values = [0.1, 0.2, 0.4, 0.8, 1.6]
     assert interval(values) == interval(values)
 
