@@ -76,7 +76,7 @@ than the diagonal of the room, in every figure, and is listed below.
 **What a network needs.** Networks learn from {counts} flights, gentle (paces {gentle}) or aggressive (paces
 {aggressive}), in the world or the body frame, with the default method of `trimtab learn` and without a closed
 form of the drag. The measure is the error of the baseline on Min-Residual over that on Min-Snap on held-out
-courses; {target:g} counts as reached.
+courses; {target:g} counts as reached. Where one of them failed, the ratio counts as {failed:g}.
 
 """
 
@@ -86,10 +86,10 @@ def page(report: Mapping[str, Any]) -> str:
     head = _HEAD.format(
         command=report["provenance"]["command"],
         seed=report["seed"],
-        worlds=f"{report['worlds']} worlds",
+        worlds="1 world" if report["quick"] else f"{report['worlds']} worlds",
         git=report["provenance"]["git"],
         flights=report["flights"],
-        quick=" This is a quick check of one world, not for the record." if report["quick"] else "",
+        quick=" This is a quick check, not for the record." if report["quick"] else "",
     )
     sections = [f"### {title}\n\n{markdown(rows)}\n" for title, rows in tables(report).items()]
     return f"{wrapped(head)}{_method()}## Results\n\n" + "\n".join(sections)

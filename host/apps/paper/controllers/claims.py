@@ -179,7 +179,7 @@ def on_all(cells: Sequence[Cell], one: str, other: str) -> Effect:
 
 def _row(claim: str, regressor: str, family: str, effects: Sequence[Effect]) -> dict[str, Any]:
     """Return the row of a claim from its comparisons."""
-    weakest = max(effects, key=lambda each: -1.0 if each.ci95 is None else each.ci95[1])
+    weakest = max(effects, key=lambda each: each.upper)
     known = [each.p for each in effects if each.p is not None]
     return {
         "claim": claim,

@@ -40,6 +40,11 @@ class Effect:
         """Whether the whole interval is below 1."""
         return self.ci95 is not None and self.ci95[1] < 1.0
 
+    @property
+    def upper(self) -> float:
+        """Upper end of the interval; the median without one, and 0 without values."""
+        return self.ci95[1] if self.ci95 is not None else self.median or 0.0
+
     def to_json(self) -> dict[str, Any]:
         """Return plain data for JSON."""
         return {

@@ -106,6 +106,14 @@ def test_claim_p_values_are_corrected_for_their_number():
     assert {row["p_holm"] for row in rows.values()} == {20.0 * 2.0 / 64.0}
 
 
+def test_claim_of_too_few_courses_is_not_confirmed_and_shows_its_weakest_comparison():
+    results = [balanced(0, course) for course in range(COURSES)]
+    rows = {(r["claim"], r["regressor"], r["family"]): r for r in claims(cells_of(results))}
+    row = rows["neural-best-mpc", "paper", "mpc"]
+    assert (row["confirmed"], row["ci95"], row["courses"]) == (False, None, 3)
+    assert row["effect"] == pytest.approx(0.8)
+
+
 def test_claims_without_cells_are_not_confirmed():
     rows = claims([])
     assert len(rows) == 20
