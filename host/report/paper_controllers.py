@@ -11,9 +11,6 @@ from trimtab.host.report import flight_figures
 from trimtab.host.report.figures import Figure
 from trimtab.host.report.tables import tables_page
 
-_FAMILIES = {"dfbc": "DFBC", "mpc": "MPC"}
-_REGRESSORS = {"paper": "the paper's regressor", "ours": "our regressor"}
-
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
     """Return the box plot of each set by file stem."""
@@ -23,9 +20,8 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
         if any(values for each in errors.values() for values in each.values()):
             drawn[f"{flown.family}-{flown.regressor}"] = flight_figures.boxes(
                 errors,
-                f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: mean error of each flight "
-                "of the balanced design that was flown to its end, by trajectory and controller. Boxes hold "
-                "half of the points, whiskers nine tenths.",
+                f"{flown.title}: mean error of each flight of the balanced design that was flown to its end, "
+                "by trajectory and controller. Boxes hold half of the points, whiskers nine tenths.",
             )
     return drawn
 

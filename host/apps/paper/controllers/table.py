@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Literal
 
@@ -10,8 +11,9 @@ Regressor = Literal["paper", "ours"]
 Use = Literal["residual", "closed-form", "labels"]
 """Model that a controller uses: the regressor's, the closed form alone, or one learned from labels."""
 
-FAMILIES: tuple[Family, ...] = ("dfbc", "mpc")
-REGRESSORS: tuple[Regressor, ...] = ("paper", "ours")
+FAMILIES: Mapping[Family, str] = {"dfbc": "DFBC", "mpc": "MPC"}
+REGRESSORS: Mapping[Regressor, str] = {"paper": "the paper's regressor", "ours": "our regressor"}
+"""Families and regressors with their titles."""
 CLOSED_FORM = "closed-form"
 MIN_SNAP, MIN_RESIDUAL, MIN_RESIDUAL_STAR = "min-snap", "min-residual", "min-residual*"
 TRAJECTORIES = (MIN_SNAP, "min-control", "min-control-r", MIN_RESIDUAL, MIN_RESIDUAL_STAR)
@@ -29,7 +31,7 @@ class Controller:
     family: Family
     file: str
     use: Use | None = None
-    regressors: tuple[Regressor, ...] = REGRESSORS
+    regressors: tuple[Regressor, ...] = tuple(REGRESSORS)
 
     def model(self, regressor: Regressor) -> str | None:
         """Return the name of its model among a site's models, None if it uses none."""
@@ -84,6 +86,11 @@ class Set:
 
     family: Family
     regressor: Regressor
+
+    @property
+    def title(self) -> str:
+        """The set in words."""
+        return f"{FAMILIES[self.family]} with {REGRESSORS[self.regressor]}"
 
     @property
     def controllers(self) -> tuple[Controller, ...]:

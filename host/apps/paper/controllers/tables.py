@@ -6,12 +6,10 @@ from collections.abc import Mapping, Sequence
 from typing import Any
 
 from trimtab.host.apps.paper.controllers.claims import WORDS
-from trimtab.host.apps.paper.controllers.table import CONTROLLERS, SETS, TRAJECTORIES
+from trimtab.host.apps.paper.controllers.table import BASELINE, CONTROLLERS, FAMILIES, SETS, TRAJECTORIES
 
 Cells = dict[str, str]
-_TITLES = {each.name: each.title for each in CONTROLLERS}
-_FAMILIES = {"dfbc": "DFBC", "mpc": "MPC"}
-_REGRESSORS = {"paper": "the paper's regressor", "ours": "our regressor"}
+_BY_NAME = {each.name: each for each in CONTROLLERS}
 
 
 def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
@@ -21,7 +19,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
         "Selected on tuning courses, over the baseline on Min-Snap on held-out courses": _chosen(figures),
     }
     for flown in SETS:
-        title = f"{_FAMILIES[flown.family]} with {_REGRESSORS[flown.regressor]}: median error, mm"
+        title = f"{flown.title}: median error, mm"
         rows = [row for row in figures["rows"] if row["regressor"] == flown.regressor]
         made[title] = _errors(rows, [each.name for each in flown.controllers])
     courses = dict.fromkeys((row["link"], row["course"]) for row in figures["full"])
@@ -45,7 +43,7 @@ def _claims(claims: Sequence[Mapping[str, Any]]) -> list[Cells]:
     return [
         {
             "claim": WORDS[row["claim"]],
-            "controllers": _FAMILIES[row["family"]],
+            "controllers": FAMILIES[row["family"]],
             "regressor": row["regressor"],
             "effect": interval(row["effect"], row["ci95"]),
             "p, Holm": number(row["p_holm"], ".3g"),
@@ -67,11 +65,12 @@ def _chosen(figures: Mapping[str, Any]) -> list[Cells]:
     for what, key in (("baseline on a residual trajectory", "error_ratio_baseline"), ("best", "best")):
         found = figures[key]
         if found is not None:
+            controller = _BY_NAME[found.get("controller", BASELINE.name)]
             rows.append(
                 {
                     "": what,
-                    "controller": _TITLES[found.get("controller", "dfbc")],
-                    "family": _FAMILIES["mpc" if found.get("controller", "").startswith("mpc") else "dfbc"],
+                    "controller": controller.title,
+                    "family": FAMILIES[controller.family],
                     "trajectory": found["trajectory"],
                     "regressor": found["regressor"],
                     "error ratio": interval(found["median"], found["ci95"]),
@@ -88,7 +87,7 @@ def _errors(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[Cel
         if all(row["cells"] for row in chosen.values()):
             made.append(
                 {
-                    "controller": _TITLES[name],
+                    "controller": _BY_NAME[name].title,
                     **{kind: _millimetres(chosen[kind]) for kind in TRAJECTORIES},
                     "cells": str(chosen[TRAJECTORIES[0]]["cells"]),
                 }
@@ -114,7 +113,7 @@ def _full(rows: Sequence[Mapping[str, Any]]) -> list[Cells]:
             }
             made.append(
                 {
-                    "family": _FAMILIES[flown.family],
+                    "family": FAMILIES[flown.family],
                     "regressor": flown.regressor,
                     "controller": controller.title,
                     **{
@@ -129,7 +128,7 @@ def _full(rows: Sequence[Mapping[str, Any]]) -> list[Cells]:
 def _steps(steps: Sequence[Mapping[str, Any]]) -> list[Cells]:
     return [
         {
-            "MPC": _TITLES[row["controller"]],
+            "MPC": _BY_NAME[row["controller"]].title,
             "regressor": row["regressor"],
             "flights": str(row["flights"]),
             "median": number(row["p50_ms"], ".2f"),
