@@ -41,45 +41,63 @@ QUICK = Scope(tuning=1, wired=0, courses=1, front=1, needs=1, counts=COUNTS[:1],
 
 
 def plan_pieces(worlds: int, scope: Scope) -> list[Piece]:
-    """Return the pieces of a study."""
-    pieces = [
-        Piece(name=f"full-{link}-{k}", kind="full", arguments={"course": k, "link": link}, weight=100.0)
-        for link, count in ((RADIO, scope.tuning), (WIRED, scope.wired))
-        for k in range(count)
+    """Return the pieces of a study.
+
+    Neighbours are of different worlds, so that few processes wait for the models of the same one.
+    """
+    return [*_full(scope), *_balanced(worlds, scope), *_needs(scope)]
+
+
+def _full(scope: Scope) -> list[Piece]:
+    courses = [
+        (k, link) for link, count in ((RADIO, scope.tuning), (WIRED, scope.wired)) for k in range(count)
     ]
-    for world in range(worlds):
-        for course in range(scope.courses):
-            pieces.append(
-                Piece(
-                    name=f"balanced-{world:02d}-{course}",
-                    kind="balanced",
-                    arguments={"world": world, "course": course},
-                    weight=80.0,
-                )
-            )
-        pieces.append(
-            Piece(
-                name=f"front-{world:02d}",
-                kind="front",
-                arguments={"world": world, "courses": scope.front},
-                weight=10.0 * scope.front,
-            )
+    return [
+        Piece(name=f"full-{link}-{k}", kind="full", arguments={"course": k, "link": link}, weight=100.0)
+        for k, link in sorted(courses)
+    ]
+
+
+def _balanced(worlds: int, scope: Scope) -> list[Piece]:
+    """Return the courses of the balanced design, and the weights' front on some of them."""
+    design = [
+        Piece(
+            name=f"balanced-{world:02d}-{course}",
+            kind="balanced",
+            arguments={"world": world, "course": course},
+            weight=80.0,
         )
-    for world in range(scope.needs):
-        for excitation in EXCITATIONS:
-            arguments = {
+        for course in range(scope.courses)
+        for world in range(worlds)
+    ]
+    fronts = [
+        Piece(
+            name=f"front-{world:02d}",
+            kind="front",
+            arguments={"world": world, "courses": scope.front},
+            weight=10.0 * scope.front,
+        )
+        for world in range(worlds)
+    ]
+    return design + fronts
+
+
+def _needs(scope: Scope) -> list[Piece]:
+    return [
+        Piece(
+            name=f"needs-{world:02d}-{excitation}",
+            kind="needs",
+            arguments={
                 "world": world,
                 "excitation": excitation,
                 "counts": scope.counts,
                 "courses": scope.needs_courses,
-            }
-            weight = 60.0 * len(scope.counts)
-            pieces.append(
-                Piece(
-                    name=f"needs-{world:02d}-{excitation}", kind="needs", arguments=arguments, weight=weight
-                )
-            )
-    return pieces
+            },
+            weight=60.0 * len(scope.counts),
+        )
+        for world in range(scope.needs)
+        for excitation in EXCITATIONS
+    ]
 
 
 def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
