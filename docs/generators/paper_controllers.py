@@ -65,7 +65,8 @@ noise, turbulence and battery. Cells of the MPC also fly the baseline on three t
 **A course like the paper's.** {duration:g} s, {nodes} nodes, lambda_r = 0.1. Three such courses, in a world
 of their own, fly every controller on every trajectory. They select the trajectory of the baseline, and the
 best controller and trajectory. What they select is measured on the held-out courses. One of them also flies
-with a wired host, as in the paper's simulation.
+with a wired host, as in the paper's simulation (`wired`), and in a world of seven effects (`rich`). These two
+select nothing.
 
 **Statistics.** The unit is the course. Effects are ratios of mean tracking errors in the same cell, their
 median within a course, and the median over courses. Intervals are 95 % of bootstraps over courses. Tests are

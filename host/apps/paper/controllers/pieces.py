@@ -18,23 +18,25 @@ from trimtab.host.plan.pareto import pareto
 from trimtab.host.route import Route, random_route
 from trimtab.host.vehicle import Vehicle
 
-RADIO, WIRED = "radio", "wired"
-WORLDS = {RADIO: "paper-drag", WIRED: "paper-drag-wired"}
-"""Worlds by the link of the host: through the radio, or wired as in the paper's simulation."""
+RADIO, WIRED, RICH = "radio", "wired", "rich"
+WORLDS = {RADIO: "paper-drag", WIRED: "paper-drag-wired", RICH: "rich"}
+"""World of each setting: drag through the radio, or wired as in the paper's simulation, or seven effects."""
 PAPER_DURATION_S = 10.0
 _FULL_FIRST, _CELL_FIRST, _FRONT_FIRST = 101, 201, 301
 """Flight indices; those below belong to training flights."""
 _TRIES = 200
 
 
-def full(folder: Path, logs: Path, vehicle: Vehicle, seed: int, *, course: int, link: str) -> dict[str, Any]:
+def full(
+    folder: Path, logs: Path, vehicle: Vehicle, seed: int, *, course: int, setting: str
+) -> dict[str, Any]:
     """Fly a course like the paper's by every controller on every trajectory.
 
     10 s, 400 nodes of 0.025 s, lambda_r = 0.1 (section V-B). Its world and courses are not those of the
     balanced design: these flights select what the design then measures.
     """
-    place = f"tuning-{link}"
-    site = learned_site(folder / place, vehicle, seed, WORLDS[link], place)
+    place = f"tuning-{setting}"
+    site = learned_site(folder / place, vehicle, seed, WORLDS[setting], place)
     flown = Course(
         route=paper_course(vehicle, seed, course),
         flight=_FULL_FIRST + course,
@@ -42,7 +44,7 @@ def full(folder: Path, logs: Path, vehicle: Vehicle, seed: int, *, course: int, 
         nodes=NODES,
     )
     rows = [row for each in SETS for row in fly_set(site, flown, each, logs)]
-    return {"kind": "full", "course": course, "link": link, "selected": site.selected, "rows": rows}
+    return {"kind": "full", "course": course, "setting": setting, "selected": site.selected, "rows": rows}
 
 
 def paper_course(vehicle: Vehicle, seed: int, index: int) -> Route:

@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 from trimtab.host.apps.paper.controllers.design import COURSES
 from trimtab.host.apps.paper.controllers.needs import COUNTS, EXCITATIONS, needs
-from trimtab.host.apps.paper.controllers.pieces import RADIO, WIRED, balanced, front, full
+from trimtab.host.apps.paper.controllers.pieces import RADIO, RICH, WIRED, balanced, front, full
 from trimtab.host.apps.paper.controllers.summary import summary
 from trimtab.host.apps.paper.section import study_of
 from trimtab.host.base.pieces import Piece
@@ -22,13 +23,12 @@ WORLDS = 5
 class Scope:
     """Size of a study.
 
-    tuning: courses like the paper's through the radio. wired: the same, with a wired host. courses: of the
-    balanced design, in each world. front: courses of each world for the weights' front. needs: worlds of
-    networks to learn. needs_courses: that each network's plans are flown on.
+    full: courses like the paper's in each setting. courses: of the balanced design, in each world. front:
+    courses of each world for the weights' front. needs: worlds of networks to learn. needs_courses: that each
+    network's plans are flown on.
     """
 
-    tuning: int
-    wired: int
+    full: Mapping[str, int]
     courses: int
     front: int
     needs: int
@@ -36,8 +36,10 @@ class Scope:
     needs_courses: int
 
 
-FULL = Scope(tuning=3, wired=1, courses=COURSES, front=2, needs=2, counts=COUNTS, needs_courses=3)
-QUICK = Scope(tuning=1, wired=0, courses=1, front=1, needs=1, counts=COUNTS[:1], needs_courses=1)
+FULL = Scope(
+    full={RADIO: 3, WIRED: 1, RICH: 1}, courses=COURSES, front=2, needs=2, counts=COUNTS, needs_courses=3
+)
+QUICK = Scope(full={RADIO: 1}, courses=1, front=1, needs=1, counts=COUNTS[:1], needs_courses=1)
 
 
 def plan_pieces(worlds: int, scope: Scope) -> list[Piece]:
@@ -49,12 +51,12 @@ def plan_pieces(worlds: int, scope: Scope) -> list[Piece]:
 
 
 def _full(scope: Scope) -> list[Piece]:
-    courses = [
-        (k, link) for link, count in ((RADIO, scope.tuning), (WIRED, scope.wired)) for k in range(count)
-    ]
+    courses = [(k, setting) for setting, count in scope.full.items() for k in range(count)]
     return [
-        Piece(name=f"full-{link}-{k}", kind="full", arguments={"course": k, "link": link}, weight=100.0)
-        for k, link in sorted(courses)
+        Piece(
+            name=f"full-{setting}-{k}", kind="full", arguments={"course": k, "setting": setting}, weight=100.0
+        )
+        for k, setting in sorted(courses)
     ]
 
 

@@ -36,7 +36,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
         for kind in ("full", "balanced", "front", "needs")
     }
     cells = cells_of(by_kind["balanced"])
-    tuning = [row for result in by_kind["full"] if result["link"] == RADIO for row in result["rows"]]
+    tuning = [row for result in by_kind["full"] if result["setting"] == RADIO for row in result["rows"]]
     steps = step_times(by_kind["balanced"])
     figures: Row = {
         "flights": sum("error_mean_m" in row for result in by_kind["balanced"] for row in result["rows"]),
@@ -176,7 +176,7 @@ def full_rows(result: Result) -> list[Row]:
     return [
         {
             "course": result["course"],
-            "link": result["link"],
+            "setting": result["setting"],
             "controller": row["controller"],
             "regressor": row["regressor"],
             "trajectory": row["trajectory"],

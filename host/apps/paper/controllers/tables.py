@@ -22,10 +22,10 @@ def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
         title = f"{flown.title}: median error, mm"
         rows = [row for row in figures["rows"] if row["regressor"] == flown.regressor]
         made[title] = _errors(rows, [each.name for each in flown.controllers])
-    courses = dict.fromkeys((row["link"], row["course"]) for row in figures["full"])
-    for link, course in courses:
-        rows = [row for row in figures["full"] if (row["link"], row["course"]) == (link, course)]
-        made[f"Course {course} like the paper's, {link}: mean error, mm"] = _full(rows)
+    courses = dict.fromkeys((row["setting"], row["course"]) for row in figures["full"])
+    for setting, course in courses:
+        rows = [row for row in figures["full"] if (row["setting"], row["course"]) == (setting, course)]
+        made[f"Course {course} like the paper's, {setting}: mean error, mm"] = _full(rows)
     made |= {
         "Processor time of a control step, ms": _steps(figures["steps"]),
         "Closed form over network inside the MPC": _closed_form(figures["closed_form_in_mpc"]),

@@ -51,7 +51,7 @@ def row(controller: str, regressor: str, trajectory: str, **entries: Any) -> dic
     return found | entries
 
 
-def full(course: int = 0, link: str = "radio") -> dict[str, Any]:
+def full(course: int = 0, setting: str = "radio") -> dict[str, Any]:
     """A course like the paper's."""
     rows = [
         row(each.name, flown.regressor, kind)
@@ -59,7 +59,13 @@ def full(course: int = 0, link: str = "radio") -> dict[str, Any]:
         for each in flown.controllers
         for kind in TRAJECTORIES
     ]
-    return {"kind": "full", "course": course, "link": link, "selected": "effects and network", "rows": rows}
+    return {
+        "kind": "full",
+        "course": course,
+        "setting": setting,
+        "selected": "effects and network",
+        "rows": rows,
+    }
 
 
 def balanced(world: int, course: int) -> dict[str, Any]:
@@ -101,7 +107,7 @@ def needs(world: int, excitation: str) -> dict[str, Any]:
 
 def pieces(worlds: int, courses: int) -> dict[str, Any]:
     """All pieces of a study, by name."""
-    found = {"full-radio-0": full(), "full-wired-0": full(link="wired")}
+    found = {"full-radio-0": full(), "full-wired-0": full(setting="wired")}
     found |= {f"balanced-{w:02d}-{c}": balanced(w, c) for w in range(worlds) for c in range(courses)}
     found |= {f"front-{w:02d}": front(w) for w in range(worlds)}
     found |= {f"needs-00-{name}": needs(0, name) for name in ("gentle", "aggressive")}

@@ -66,4 +66,4 @@ def test_full_course_flies_every_set_as_the_paper_plans(flown: Flown, tmp_path: 
     assert [each[1] for each in flown] == list(SETS)
     assert {(each[0].nodes, each[0].settings) for each in flown} == {(400, paper_settings(VEHICLE))}
     assert {each[0].route.duration_s for each in flown} == {10.0}
-    assert (found["link"], found["selected"]) == ("radio", "tuning-radio")
+    assert (found["setting"], found["selected"]) == ("radio", "tuning-radio")
