@@ -7,6 +7,7 @@ from typing import Any, Protocol
 
 from trimtab.host.report import (
     calibrate,
+    correction,
     link,
     paper_controllers,
     paper_flight,
@@ -36,6 +37,7 @@ class Reporter(Protocol):
 REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
+    "correction": correction,
     "link": link,
     "paper-controllers": paper_controllers,
     "paper-flight": paper_flight,
