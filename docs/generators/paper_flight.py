@@ -7,7 +7,6 @@ from __future__ import annotations
 
 import json
 import sys
-import textwrap
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
@@ -17,6 +16,7 @@ from trimtab.host.apps.paper.flight.controllers import BANDWIDTH
 from trimtab.host.apps.paper.flight.models import PAPER_SETTINGS, SEGMENT_STEPS
 from trimtab.host.apps.paper.flight.pretzel import LAMBDA_R, NODES
 from trimtab.host.apps.paper.paths import Room
+from trimtab.host.apps.paper.text import markdown, wrapped
 
 _HEAD = """# The paper's flight section, compared
 
@@ -93,8 +93,8 @@ def page(report: Mapping[str, Any]) -> str:
         quick=" This is a quick check, not for the record." if report["quick"] else "",
     )
     rows = tables.pop(worse)
-    sections = [f"### {title}\n\n{_markdown(rows)}\n" for title, rows in tables.items()]
-    return f"{_wrapped(head)}## {worse}\n\n{_list(rows)}\n{_method()}## Results\n\n" + "\n".join(sections)
+    sections = [f"### {title}\n\n{markdown(rows)}\n" for title, rows in tables.items()]
+    return f"{wrapped(head)}## {worse}\n\n{_list(rows)}\n{_method()}## Results\n\n" + "\n".join(sections)
 
 
 def _method() -> str:
@@ -118,18 +118,7 @@ def _method() -> str:
         lambda_r=LAMBDA_R,
         bandwidth=BANDWIDTH,
     )
-    return _wrapped(text)
-
-
-def _wrapped(text: str) -> str:
-    """Return the text with its paragraphs in lines of at most 120 columns; code stays as it is."""
-    paragraphs = (
-        each
-        if each.startswith("    ")
-        else textwrap.fill(each, 120, break_long_words=False, break_on_hyphens=False)
-        for each in text.split("\n\n")
-    )
-    return "\n\n".join(paragraphs)
+    return wrapped(text)
 
 
 def _list(rows: Sequence[Mapping[str, str]]) -> str:
@@ -139,12 +128,6 @@ def _list(rows: Sequence[Mapping[str, str]]) -> str:
         numbers = f": {row['ours']}, in the paper {row['paper']}" if row["ours"] else ""
         lines.append(f"- {row['figure']}{numbers}")
     return "\n".join(lines) + "\n"
-
-
-def _markdown(rows: Sequence[Mapping[str, str]]) -> str:
-    """Return a table as Markdown."""
-    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
-    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
 
 
 def _numbers(values: Sequence[float]) -> str:

@@ -1,4 +1,4 @@
-"""Figures of the study of section VI: errors of flights as boxes, paths planned and flown."""
+"""Figures of flights in the paper's studies: errors as boxes, paths planned and flown."""
 
 from __future__ import annotations
 
@@ -10,31 +10,36 @@ from matplotlib import rc_context
 
 from trimtab.host.report.figures import AFTER, BEFORE, STYLE, Figure, finish
 
-_COLOURS = (BEFORE, AFTER)
-_SPREAD = 0.11
-"""Greatest distance of a point from the middle of its box, to keep points apart."""
+_COLOURS = (BEFORE, AFTER, "#5a9bb0", "#d59a87", "#444444", "#7a6aa0")
+_GROUP = 0.68
+"""Width of the boxes of a group; the distance of groups is 1."""
+_MANY = 100
+"""Points from which on they are drawn small and pale."""
 
 
 def boxes(errors_mm: Mapping[str, Mapping[str, Sequence[float]]], caption: str) -> Figure:
     """Draw errors, mm, by group and kind as boxes with all their points; also as PNG.
 
-    Whiskers go from the 5th to the 95th percentile.
+    Whiskers go from the 5th to the 95th percentile. At most six kinds.
     """
     rng = np.random.default_rng(0)
     kinds = list(next(iter(errors_mm.values())))
+    colours = dict(zip(kinds, _COLOURS, strict=False))
+    pitch = _GROUP / len(kinds)
     with rc_context(STYLE):
         canvas, ax = plt.subplots(figsize=(8.4, 3.8))
         for i, each in enumerate(errors_mm.values()):
-            for k, (kind, colour) in enumerate(zip(kinds, _COLOURS, strict=True)):
-                values, place = np.asarray(each[kind]), i + 0.34 * (k - 0.5)
+            for k, (kind, colour) in enumerate(colours.items()):
+                values, place = np.asarray(each[kind]), i + pitch * (k - 0.5 * (len(kinds) - 1))
                 if not len(values):
                     continue
-                shaken = place + rng.uniform(-_SPREAD, _SPREAD, len(values))
-                ax.plot(shaken, values, ".", color=colour, alpha=0.18, markersize=2.5, zorder=1)
+                shaken = place + rng.uniform(-pitch / 3.0, pitch / 3.0, len(values))
+                alpha, size = (0.18, 2.5) if len(values) > _MANY else (0.7, 5.0)
+                ax.plot(shaken, values, ".", color=colour, alpha=alpha, markersize=size, zorder=1)
                 ax.boxplot(
                     values,
                     positions=[place],
-                    widths=0.24,
+                    widths=0.7 * pitch,
                     whis=(5.0, 95.0),
                     showfliers=False,
                     manage_ticks=False,
@@ -43,11 +48,11 @@ def boxes(errors_mm: Mapping[str, Mapping[str, Sequence[float]]], caption: str) 
                     capprops={"color": colour},
                     medianprops={"color": colour, "linewidth": 2.0},
                 )
-        for kind, colour in zip(kinds, _COLOURS, strict=True):
+        for kind, colour in colours.items():
             ax.plot([], [], "s", color=colour, label=kind)
         ax.set_xticks(range(len(errors_mm)), list(errors_mm))
         ax.set(ylabel="position error, mm", ylim=(0.0, None))
-        ax.legend(frameon=False)
+        ax.legend(frameon=False, ncols=len(kinds) // 2)
     medians = "; ".join(
         f"{group}: "
         + ", ".join(f"{kind} {np.median(values):.0f} mm" for kind, values in each.items() if len(values))

@@ -64,7 +64,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
         Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), controller-tuning
         (settings of the controller files), correction (flown error without and with the correction of a
         model), link (uploads over a lossy radio link, interrupted uploads, fuzzing), paper-learning,
-        paper-planning, paper-flight (sections of the paper).
+        paper-planning, paper-controllers, paper-flight (sections of the paper).
     """
     import os
 

@@ -16,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from tests.host.apps.paper.controllers.made_up import pieces as controller_pieces
 from tests.host.apps.paper.flight.made_up import made_up_world
 from trimtab.host import cli
 from trimtab.host.apps.bench import control, planning
@@ -23,6 +24,7 @@ from trimtab.host.apps.bench import flown as bench_flown
 from trimtab.host.apps.bench import learning as bench
 from trimtab.host.apps.bench.session import realtime_factor
 from trimtab.host.apps.demo.compare import Comparison
+from trimtab.host.apps.paper.controllers.summary import summary as controllers_summary
 from trimtab.host.apps.paper.flight.summary import summary as flight_summary
 from trimtab.host.apps.paper.learning import noise
 from trimtab.host.apps.paper.learning.summary import summary as paper_summary
@@ -357,6 +359,12 @@ def test_study_controller_tuning_prints_what_the_page_says() -> None:
     told = {"study": "controller-tuning", "seed": 1, "quick": True, "folder": "f"}
     outcome = tuning_summary(told, QUICK, tuned, flown, load_vehicle("research"))
     check("study controller-tuning", {**outcome["answer"], "report": "f/report.html"})
+
+
+def test_study_paper_controllers_prints_what_the_page_says() -> None:
+    told = {"study": "paper-controllers", "seed": 1, "worlds": 1, "quick": False, "folder": "f"}
+    outcome = controllers_summary(told, controller_pieces(1, 1))
+    check("study paper-controllers", {**outcome["answer"], "report": "f/report.html"})
 
 
 def test_study_paper_flight_prints_what_the_page_says() -> None:

@@ -1,8 +1,12 @@
-"""Tables for a terminal."""
+"""Tables for a terminal, and Markdown of generated pages."""
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Mapping, Sequence
+
+_WIDTH = 120
+"""Columns of a page."""
 
 
 def text(rows: Sequence[Mapping[str, str]]) -> list[str]:
@@ -10,3 +14,20 @@ def text(rows: Sequence[Mapping[str, str]]) -> list[str]:
     titled = [{key: key for key in rows[0]}, *rows]
     widths = {key: max(len(str(row[key])) for row in titled) for key in rows[0]}
     return ["  ".join(str(row[key]).ljust(width) for key, width in widths.items()).rstrip() for row in titled]
+
+
+def markdown(rows: Sequence[Mapping[str, str]]) -> str:
+    """Return a table as Markdown."""
+    lines = [list(rows[0]), ["---"] * len(rows[0]), *(list(row.values()) for row in rows)]
+    return "\n".join(f"| {' | '.join(cells)} |" for cells in lines)
+
+
+def wrapped(prose: str) -> str:
+    """Return the prose with its paragraphs in lines that fit a page; indented code stays as it is."""
+    paragraphs = (
+        each
+        if each.startswith("    ")
+        else textwrap.fill(each, _WIDTH, break_long_words=False, break_on_hyphens=False)
+        for each in prose.split("\n\n")
+    )
+    return "\n\n".join(paragraphs)

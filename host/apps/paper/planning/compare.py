@@ -40,21 +40,27 @@ CLOSED_FORM = "closed-form"
 NETWORKS: Mapping[str, Frame] = {"network-body": "body", "network-world": "world"}
 RESIDUAL_KINDS = ("min-residual", "min-residual*")
 """Kinds planned with the closed form and with each network."""
-_TRAINING = 6
-_PACES = (1.0, 0.75)
+TRAINING_COURSES = 3
+PACES = (1.0, 0.75)
+"""Paces of the training flights, over the fastest in which min-snap keeps the limits."""
 
 
 def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
     """Plan one course in every kind, with the paper's number of nodes and weight of control effort."""
     course = draw_course(vehicle, seed, index, "planned")
     known = ResidualModel(parts=((load_effects()[LINEAR_DRAG.name], DRAG),))
-    hover_n = vehicle.mass_kg * GRAVITY / 4.0
-    paper = Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
+    paper = paper_settings(vehicle)
     return {
         "course": course.route.name,
         "duration_s": course.route.duration_s,
         "kinds": {kind: _planned(course, vehicle, known, kind, paper, NODES)[0] for kind in KINDS},
     }
+
+
+def paper_settings(vehicle: Vehicle) -> Settings:
+    """Return the settings of a plan with the paper's weight of control effort (section V-B: 0.1)."""
+    hover_n = vehicle.mass_kg * GRAVITY / 4.0
+    return Settings(weights=Weights(control=0.1 * hover_n**2), relative_weights=False)
 
 
 def flown(
@@ -82,7 +88,7 @@ def flown(
         world_seed=draw(seed, "world", world),
         session={"seed": str(seed), "command": "trimtab study paper-planning"},
     )
-    flights = _training_flights(field, folder, seed, world)
+    flights = training_flights(field, folder, seed, purpose=f"training-{world}")
     effects = load_effects()
     learned = learn(flights, effects=effects, settings=CondensedSettings(), forms=DEFAULT_FORMS, hold_out=())
     variants = [(kind, "", ResidualModel.of(learned.model, effects)) for kind in kinds]
@@ -112,12 +118,20 @@ def flown(
     return {"world": world, "kept": learned.selected.what, "courses": rows}
 
 
-def _training_flights(field: Airfield, folder: Path, seed: int, world: int) -> list[Flight]:
-    """Fly the training courses of a world at each pace; logs stay in `folder`."""
+def training_flights(
+    field: Airfield,
+    folder: Path,
+    seed: int,
+    *,
+    purpose: str,
+    courses: int = TRAINING_COURSES,
+    paces: Sequence[float] = PACES,
+) -> list[Flight]:
+    """Fly the courses of a purpose at each pace, course by course; logs stay in `folder`."""
     flights: list[Flight] = []
-    for k in range(_TRAINING // len(_PACES)):
-        course = draw_course(field.vehicle, seed, k, f"training-{world}")
-        for pace in _PACES:
+    for k in range(courses):
+        course = draw_course(field.vehicle, seed, k, purpose)
+        for pace in paces:
             log = folder / f"training-{k}-{pace:g}.mcap"
             slow = plan(course.route, field.vehicle, total_time_s=course.route.duration_s / pace)
             field.fly(slow.reference, len(flights) + 1, log)

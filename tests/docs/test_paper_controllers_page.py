@@ -1,0 +1,41 @@
+"""The page of study paper-controllers, made from a report of flights that nobody flew."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import pytest
+from generators.paper_controllers import page
+
+from tests.host.apps.paper.controllers.made_up import pieces
+from trimtab.host.apps.paper.controllers.design import COURSES
+from trimtab.host.apps.paper.controllers.summary import summary
+
+PROVENANCE = {"command": "trimtab study paper-controllers --seed 12", "git": "0123456789ab"}
+
+
+@pytest.fixture(scope="module")
+def outcome() -> dict[str, Any]:
+    told = {"study": "paper-controllers", "seed": 12, "worlds": 2, "quick": False}
+    return summary(told, pieces(2, COURSES))
+
+
+def test_page_holds_every_cell_of_every_table(outcome: dict[str, Any]) -> None:
+    lines = page({**outcome["answer"], "provenance": PROVENANCE}).splitlines()
+    assert len(outcome["tables"]) == 13
+    for title, rows in outcome["tables"].items():
+        start = lines.index(f"### {title}") + 4
+        assert lines[start : start + len(rows)] == [f"| {' | '.join(row.values())} |" for row in rows]
+
+
+def test_page_says_seed_commit_and_size_in_short_lines(outcome: dict[str, Any]) -> None:
+    text = page({**outcome["answer"], "provenance": PROVENANCE})
+    assert "    trimtab study paper-controllers --seed 12\n" in text
+    prose = " ".join(text.split())
+    assert "Results of seed 12, 2 worlds, commit 0123456789ab, 606 flights of the balanced design." in prose
+    assert "quick check" not in text
+    assert max(len(line) for line in text.splitlines() if not line.startswith("|")) <= 120
+
+
+def test_page_of_a_quick_run_says_so(outcome: dict[str, Any]) -> None:
+    assert "quick check" in page({**outcome["answer"], "quick": True, "provenance": PROVENANCE})
