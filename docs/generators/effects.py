@@ -74,7 +74,7 @@ def _section(effect: Effect, effects: Mapping[str, Effect]) -> str:
         f"- Mistaken for: {', '.join(effect.aliases) or 'nothing'}.",
         *_facts(effect, effects),
     ]
-    law = effect.closing.law or _LAW_NONE
+    law = effect.closing.law or ": ".join(filter(None, (_LAW_NONE, effect.closing.no_law)))
     lines += [
         f"- In the model: {effect.closing.model}.",
         f"- In the planner: {effect.closing.planner}.",

@@ -46,8 +46,10 @@ OPEN_REGION = (1e9, 1e9, 0.0, 1e9)
 """Region without bounds."""
 NEUTRAL: tuple[float, ...] = (1.0, *(0.0,) * 16, *OPEN_REGION)
 """Block that has no effect."""
-FADE_SHARE = 0.25
-"""The residual acceleration fades to 0 over this share of a bound of the region."""
+REGION_MARGIN = 1.1
+"""Multiple of its bounds up to which a model is trusted. A plan with the model may go that far."""
+REGION_END = 1.5
+"""Multiple of the bounds from which on no residual acceleration is fed forward."""
 
 VOLTAGE_RATIO = (0.5, 1.2)
 """Range of battery voltage over full voltage. A voltage outside it is a faulty measurement."""
@@ -89,7 +91,9 @@ def gain_at_voltage(ops: Ops, gain: Scalar, exponent: Scalar, voltage_ratio: Sca
 
 
 def fade_weight(ops: Ops, region: Vector, v_ref: Vector, R_flat: Vector, thrust: Scalar) -> Scalar:
-    """Return the weight of the residual acceleration: 1 inside the region, 0 from FADE_SHARE beyond it.
+    """Return the weight of the residual acceleration along the reference.
+
+    It is 1 up to REGION_MARGIN times a bound of the region and 0 from REGION_END times it.
 
     v_ref: reference velocity (m/s, NED). R_flat: flat R_ned_frd, 9 scalars. thrust: thrust over mass (m/s^2).
     """
@@ -97,13 +101,13 @@ def fade_weight(ops: Ops, region: Vector, v_ref: Vector, R_flat: Vector, thrust:
     speed = ops.sqrt(dot(v_ref, v_ref) + _TINY)
     tilt = ops.atan2(ops.sqrt(R_flat[2] * R_flat[2] + R_flat[5] * R_flat[5] + _TINY), R_flat[8])
     weight = 1.0
-    for excess, bound in (
-        (speed - speed_max, speed_max),
-        (tilt - tilt_max, tilt_max),
-        (thrust_min - thrust, thrust_min),
-        (thrust - thrust_max, thrust_max),
+    for value, trusted, end in (
+        (speed, REGION_MARGIN * speed_max, REGION_END * speed_max),
+        (tilt, REGION_MARGIN * tilt_max, REGION_END * tilt_max),
+        (-thrust, -thrust_min / REGION_MARGIN, -thrust_min / REGION_END),
+        (thrust, REGION_MARGIN * thrust_max, REGION_END * thrust_max),
     ):
-        x = ops.clip(excess / (FADE_SHARE * bound + _TINY), 0.0, 1.0)
+        x = ops.clip((value - trusted) / (end - trusted + _TINY), 0.0, 1.0)
         weight = weight * (1.0 - x * x * (3.0 - 2.0 * x))
     return weight
 

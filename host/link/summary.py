@@ -11,7 +11,7 @@ from trimtab.host.link.drivers import DriveStatistics
 from trimtab.host.link.flight import FlightDirector
 from trimtab.host.link.flight_request import FlightEnd
 from trimtab.host.log import Flight, control_report, link_report, read_flight, topics
-from trimtab.host.log.tracking import tracking_error
+from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -21,6 +21,7 @@ class FlightResult:
     `tracking_rmse_m` and `tracking_max_m` are None without a tracking phase.
     `end` is None if the host stopped following the flight before its end.
     `clipped_share` is the share of ticks in flight on which the motor commands were saturated.
+    `feedforward_faded_s` is how long the feed-forward was faded beyond its region; None without one.
     `link` is described in `trimtab.host.log.link_report`, `control` in `trimtab.host.log.control_report`; it
     is None if no controller on the host flew.
     """
@@ -32,6 +33,7 @@ class FlightResult:
     tracking_rmse_m: float | None
     tracking_max_m: float | None
     clipped_share: float | None
+    feedforward_faded_s: float | None
     realtime_factor: float
     link: Mapping[str, Any]
     control: Mapping[str, Any] | None
@@ -45,6 +47,7 @@ class FlightResult:
             "tracking_rmse_m": self.tracking_rmse_m,
             "tracking_max_m": self.tracking_max_m,
             "clipped_share": self.clipped_share,
+            "feedforward_faded_s": self.feedforward_faded_s,
             "realtime_factor": round(self.realtime_factor, 3),
             "link": dict(self.link),
             "log_id": self.log_id,
@@ -72,6 +75,8 @@ class FlightResult:
             lines.append(f"tracking error {rmse_mm:.1f} mm RMSE, {max_mm:.1f} mm at most")
         if self.clipped_share:
             lines.append(f"motors at their limits for {100.0 * self.clipped_share:.2f} % of the flight")
+        if self.feedforward_faded_s:
+            lines.append(f"feed-forward faded for {self.feedforward_faded_s:.1f} s, beyond its region")
         swap = None if self.end is None else self.end.swap
         if swap is not None and swap.happened and swap.upload_s is not None and swap.slots_share is not None:
             lines.append(
@@ -94,6 +99,7 @@ def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> F
         tracking_rmse_m=None if error is None else error.rmse_m,
         tracking_max_m=None if error is None else error.max_m,
         clipped_share=_clipped_share(flight),
+        feedforward_faded_s=feedforward_faded_s(flight),
         realtime_factor=driven.realtime_factor,
         link=link_report.link_report(flight),
         control=control_report.control_report(flight),

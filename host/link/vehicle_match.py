@@ -27,7 +27,7 @@ def check_same_vehicle(identity: Identity, vehicle_id: str, *, what: str, port: 
         port_name = name_of(identity.vehicle_id)
         raise UsageError(
             f"{port} is {_called(identity.vehicle_id)}, {what} is for {_called(vehicle_id)}; "
-            f"plan again with --vehicle {port_name or 'and the file of that vehicle'}, or check the port"
+            f"make it again with --vehicle {port_name or 'and the file of that vehicle'}, or check the port"
         )
 
 

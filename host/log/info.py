@@ -8,6 +8,7 @@ from typing import Any
 from trimtab.host.log import control_report, link_report
 from trimtab.host.log.flight import scan_closed, to_flight
 from trimtab.host.log.topics import MOCAP_POSE
+from trimtab.host.log.tracking import feedforward_faded_s
 from trimtab.host.log.tracks import FAILSAFE_WORDS
 
 
@@ -33,6 +34,8 @@ def describe(path: Path) -> dict[str, Any]:
         "duration_s": flight.duration_s,
         "vehicle": {"name": flight.vehicle.name, "id": flight.vehicle.id},
         "reference": flight.reference_id,
+        "feedforward": None if flight.feedforward is None else flight.feedforward.id,
+        "feedforward_faded_s": feedforward_faded_s(flight),
         "tracking_s": None if tracking is None else [tracking[0] * 1e-6, tracking[1] * 1e-6],
         "tracking_whole": flight.tracking_whole,
         "failsafe": flight.failsafe,
@@ -57,6 +60,10 @@ def to_lines(info: dict[str, Any]) -> list[str]:
     else:
         whole = "" if info["tracking_whole"] else ", cut short"
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
+    if info["feedforward"] is not None:
+        faded_s = info["feedforward_faded_s"]
+        faded = f", faded for {faded_s:.1f} s beyond its region" if faded_s else ""
+        lines.append(f"feed-forward {info['feedforward']}{faded}")
     if info["failsafe"]:
         lines.append(f"ended by failsafe: {FAILSAFE_WORDS.get(info['failsafe'], info['failsafe'])}")
     lines += control_report.to_lines(info["control"])

@@ -165,6 +165,7 @@ def read_status(pairs: Sequence[tuple[Entry, Any]], shift_us: int) -> Status | N
         bad_bytes=_counts(messages, "bad_bytes"),
         conditions=_counts(messages, "conditions"),
         action=_counts(messages, "action"),
+        feedforward_faded=_counts(messages, "feedforward_faded"),
     )
 
 

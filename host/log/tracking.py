@@ -1,4 +1,4 @@
-"""Tracking error of a flight, and evaluation of a reference at given times."""
+"""Tracking error and fading of the feed-forward in a flight, and evaluation of a reference at given times."""
 
 from __future__ import annotations
 
@@ -70,21 +70,25 @@ def reference_at(reference: Reference, t_us: Annotated[Times, "times"]) -> Annot
     return ReferencePath(reference).at(t_us)
 
 
-def tracking_distances(flight: Flight) -> Annotated[Floats, "poses"] | None:
+def tracking_distances(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[Floats, "poses"] | None:
     """Return the distances, m, of which `tracking_error` gives the figures; None where it has none."""
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
     start_us, end_us = flight.tracking
-    keep = (flight.mocap.t_us >= start_us) & (flight.mocap.t_us <= end_us)
+    t_us = flight.mocap.t_us - round(1e6 * pose_age_s)
+    keep = (t_us >= start_us) & (t_us <= end_us)
     if not keep.any():
         return None
-    p_ref = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
+    p_ref = reference_at(flight.reference, t_us[keep] - start_us)[:, :3]
     return np.linalg.norm(flight.mocap.p[keep] - p_ref, axis=1)
 
 
-def tracking_error(flight: Flight) -> TrackingError | None:
-    """Return the error over the flown part of the tracking phase; None without reference, phase or poses."""
-    distances = tracking_distances(flight)
+def tracking_error(flight: Flight, *, pose_age_s: float = 0.0) -> TrackingError | None:
+    """Return the error over the flown part of the tracking phase; None without reference, phase or poses.
+
+    pose_age_s: by how much poses are older than their stamps.
+    """
+    distances = tracking_distances(flight, pose_age_s=pose_age_s)
     if distances is None:
         return None
     return TrackingError(
@@ -93,3 +97,16 @@ def tracking_error(flight: Flight) -> TrackingError | None:
         max_m=float(distances.max()),
         poses=len(distances),
     )
+
+
+def feedforward_faded_s(flight: Flight) -> float | None:
+    """Return how long the feed-forward was faded in the tracking phase, s; None without one or a phase.
+
+    Resolved to the interval between statuses.
+    """
+    status = flight.status
+    if flight.feedforward is None or flight.tracking is None or status is None:
+        return None
+    start_us, end_us = flight.tracking
+    edges_us = np.clip(np.append(status.t_us, max(end_us, status.t_us[-1])), start_us, end_us)
+    return int(np.diff(edges_us)[status.feedforward_faded > 0].sum()) / 1e6

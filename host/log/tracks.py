@@ -154,6 +154,8 @@ class Status(_Track):
     bad_bytes: Annotated[Times, "samples"]
     conditions: Annotated[Times, "samples"]
     action: Annotated[Times, "samples"]
+    feedforward_faded: Annotated[Times, "samples"]
+    """Percent of the residual acceleration fed forward that is faded out."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

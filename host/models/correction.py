@@ -4,15 +4,18 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from trimtab.firmware_model.law.feedforward import gain_at_voltage
 from trimtab.firmware_model.law.feedforward_range import Excess, out_of_range
+from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, compose_feedforward
+from trimtab.host.effects.feedforward import Contributions, neutral_contributions
 from trimtab.host.models.model import Model
 from trimtab.host.models.reference import block as law_block
 from trimtab.host.models.region import Region
@@ -23,6 +26,7 @@ SUFFIX = ".ff"
 _NETWORK = "network"
 _NETWORK_LAW = "its acceleration along the reference, and the derivative of it, are fed forward"
 _NO_TERM = "the feed-forward has no term for it"
+_NO_DRAG = "it acts through a drag, and the model has none"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -61,28 +65,30 @@ def correction(model: Model, vehicle: Vehicle, effects: Mapping[str, Effect]) ->
     """
     parts = model.parts(effects)
     numbers = compose_feedforward(parts)
-    block: list[float] = []
-    for name, size in BLOCK_FIELDS:
-        block += [numbers[name]] if size == 1 else list(numbers[name])
+    has_drag = any(numbers["linear_drag"]) or any(numbers["quadratic_drag"])
     corrected, uncorrected = {}, {}
-    for effect, _ in parts:
-        if effect.closing.law is not None:
-            corrected[effect.name] = effect.closing.law
+    for effect, theta in parts:
+        why_not = _why_not(effect, theta, has_drag)
+        if why_not is None:
+            corrected[effect.name] = effect.closing.law or ""
         elif effect.name in model.effects:
-            uncorrected[effect.name] = effect.closing.no_law or _NO_TERM
+            uncorrected[effect.name] = why_not
+    if not has_drag:
+        numbers |= {"wind_ned": (0.0, 0.0, 0.0)}
+    block = _flat(numbers)
     network = model.network
     if network is not None:
         corrected[_NETWORK] = _NETWORK_LAW
-    if tuple(block) == NEUTRAL_BLOCK and network is None:
+    if block == NEUTRAL_BLOCK and network is None:
         return Correction(feedforward=None, corrected={}, uncorrected=uncorrected, excess=None)
     feedforward = FeedForward(
         vehicle_id=vehicle.id,
         model_id=model.id,
-        block=tuple(block),
+        block=block,
         layers=() if network is None else network.layout.hidden,
         weights=() if network is None else tuple(network.xi.tolist()),
         frame="world" if network is None else network.layout.frame,
-        region=None if model.region is None else _on_board(model.region, vehicle, numbers["gain"]),
+        region=None if model.region is None else _on_board(model.region, vehicle, numbers),
     )
     excess = out_of_range(
         law_block(feedforward),
@@ -93,18 +99,38 @@ def correction(model: Model, vehicle: Vehicle, effects: Mapping[str, Effect]) ->
     return Correction(feedforward=feedforward, corrected=corrected, uncorrected=uncorrected, excess=excess)
 
 
-def _on_board(region: Region, vehicle: Vehicle, gain: float) -> TrainedRegion:
+def _why_not(effect: Effect, theta: Sequence[float], has_drag: bool) -> str | None:
+    """Return why the law cannot compensate an effect with these parameters, or None if it can."""
+    if effect.closing.law is None:
+        return effect.closing.no_law or _NO_TERM
+    own = compose_feedforward([(effect, theta)])
+    if any(own.pop("wind_ned")) and not has_drag and own.items() <= neutral_contributions().items():
+        return _NO_DRAG
+    return None
+
+
+def _flat(numbers: Contributions) -> tuple[float, ...]:
+    """Return the block of a feed-forward."""
+    block: list[float] = []
+    for name, size in BLOCK_FIELDS:
+        block += [numbers[name]] if size == 1 else list(numbers[name])
+    return tuple(block)
+
+
+def _on_board(region: Region, vehicle: Vehicle, numbers: Contributions) -> TrainedRegion:
     """Return a region as the vehicle checks it.
 
     A region has nominal thrusts; the vehicle compares the thrust over mass of the reference, which is larger
-    by the gain.
+    by the gain. The region does not tell at which voltages a thrust occurred, so the least one counts at an
+    empty battery and the greatest at a full one.
     """
-    per_newton = gain / vehicle.mass_kg
+    per_newton, exponent = numbers["gain"] / vehicle.mass_kg, numbers["voltage_exponent"]
+    empty = gain_at_voltage(FLOAT, per_newton, exponent, vehicle.battery.empty_v / vehicle.battery.full_v)
     return TrainedRegion(
         region.speed_max_m_s,
         math.radians(region.tilt_max_deg),
-        region.thrust_min_n * per_newton,
-        region.thrust_max_n * per_newton,
+        region.thrust_min_n * min(empty, per_newton),
+        region.thrust_max_n * max(empty, per_newton),
     )
 
 

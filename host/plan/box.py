@@ -11,6 +11,7 @@ import math
 from collections.abc import Mapping
 from dataclasses import dataclass
 
+from trimtab.firmware_model.law.feedforward import REGION_MARGIN
 from trimtab.firmware_model.law.limits import Limits as CheckedLimits
 from trimtab.host.models.region import Region
 from trimtab.host.plan.dynamics import Dynamics
@@ -21,7 +22,6 @@ _INSET_RATE = 0.05
 _INSET_THRUST = 0.02
 _EXCESS = 1.2  # multiple of an excess that a bound is tightened by,
 _STEP = 0.002  # plus this share of the bound
-_REGION_MARGIN = 1.1  # factor on the trained region within which a network is trusted
 KEEP_OUT = "keep_out_m"
 GATES = "gates_m"
 YAW_RATE = "yaw_rate_rad_s"
@@ -114,13 +114,13 @@ class SolverBox:
 def within_region(limits: Limits, region: Region, dynamics: Dynamics) -> Limits:
     """Return the limits within a trained region, extended by a tenth; thrust in equal shares."""
     low, high = limits.thrust_headroom
-    most = _REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
-    least = region.thrust_min_n / (_REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)
+    most = REGION_MARGIN * region.thrust_max_n / (4.0 * dynamics.vehicle.thrust_max_n)
+    least = region.thrust_min_n / (REGION_MARGIN * 4.0 * dynamics.vehicle.thrust_max_n)
     hover = dynamics.hover_n / dynamics.vehicle.thrust_max_n
     return limits.model_copy(
         update={
-            "speed_max_m_s": min(limits.speed_max_m_s, _REGION_MARGIN * region.speed_max_m_s),
-            "tilt_max_deg": min(limits.tilt_max_deg, max(5.0, _REGION_MARGIN * region.tilt_max_deg)),
+            "speed_max_m_s": min(limits.speed_max_m_s, REGION_MARGIN * region.speed_max_m_s),
+            "tilt_max_deg": min(limits.tilt_max_deg, max(5.0, REGION_MARGIN * region.tilt_max_deg)),
             "thrust_headroom": (max(low, min(least, 0.9 * hover)), min(high, max(most, 1.1 * hover))),
         }
     )

@@ -8,6 +8,7 @@ from typing import Any, Protocol
 from trimtab.host.report import (
     calibrate,
     controller_tuning,
+    correction,
     link,
     paper_flight,
     paper_learning,
@@ -37,6 +38,7 @@ REPORTS: Mapping[str, Reporter] = {
     "blind": study,
     "calibrate": calibrate,
     "controller-tuning": controller_tuning,
+    "correction": correction,
     "link": link,
     "paper-flight": paper_flight,
     "paper-learning": paper_learning,

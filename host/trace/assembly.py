@@ -21,6 +21,8 @@ from trimtab.host.trace.segment_fit.fit import theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis
 
+_SPEED_S = 0.1  # time over which the speeds of the trained region are means: the noise of poses averages out
+
 
 def named_effects(
     space: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
@@ -108,8 +110,9 @@ def model_of(
         )
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
-    speed = np.linalg.norm(np.diff(data.p_ned, axis=1), axis=2) / data.dt_s
-    both_posed = data.pose_weight[:, 1:] * data.pose_weight[:, :-1] > 0
+    span = round(_SPEED_S / data.dt_s)
+    speed = np.linalg.norm(data.p_ned[:, span:] - data.p_ned[:, :-span], axis=2) / (span * data.dt_s)
+    both_posed = data.pose_weight[:, span:] * data.pose_weight[:, :-span] > 0
     thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = np.maximum(thrust.sum(-1), 0.0)
     return Model(
@@ -120,7 +123,7 @@ def model_of(
         covariance=covariance,
         sources={name: space.effects[name].source_id for name in space.parts if name in owners},
         region=Region(
-            speed_max_m_s=float(np.quantile(speed[both_posed], 0.99)),
+            speed_max_m_s=float(np.quantile(speed[both_posed], 0.999)),
             tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
             thrust_min_n=float(np.quantile(thrust, 0.001)),
             thrust_max_n=float(np.quantile(thrust, 0.999)),

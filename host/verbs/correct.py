@@ -59,8 +59,11 @@ def command(
         made = correction(content, airframe, load_effects(space.root))
     except ValueError as error:
         raise UsageError(f"{model}: {error}; give the folder with its effects with --workspace") from None
-    lines = [f"{name}: corrected, {how}" for name, how in made.corrected.items()]
+    named = {name: how for name, how in made.corrected.items() if name not in content.adjustments}
+    lines = [f"{name}: corrected, {how}" for name, how in named.items()]
     lines += [f"{name}: not corrected, {why}" for name, why in made.uncorrected.items()]
+    if adjusted := [name for name in made.corrected if name not in named]:
+        lines.append(f"also corrected, within tolerance: {', '.join(adjusted)}")
     if made.feedforward is None:
         raise GateMissed("; ".join([f"{model}: nothing in it can be corrected on board", *lines]))
     if made.excess is not None:

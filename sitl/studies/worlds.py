@@ -19,9 +19,11 @@ from trimtab.sitl.kinds import DRAG, KINDS
 from trimtab.sitl.studies.files import StudyError
 from trimtab.sitl.world import ImuSettings, Turbulence
 
-Class = Literal["none", "single", "pair", "outside", "thin"]
+Class = Literal["none", "single", "pair", "outside", "thin", "several"]
 FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80, "thin": 48}
-"""Worlds of each class in a study of full size; smaller and larger ones keep the proportions."""
+"""Worlds of each class in a blind study of full size; smaller and larger ones keep the proportions. Worlds of
+several effects are of other studies.
+"""
 
 SIZE = (0.5, 2.0)
 """Least and greatest multiple of the typical size."""
@@ -144,9 +146,9 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
     ]
 
 
-def world_seed(seed: int, index: int) -> int:
+def world_seed(seed: int, index: int, study: str = "blind study") -> int:
     """Return the seed of a world: 48 bits that reveal neither the study's seed nor the index."""
-    return int.from_bytes(hashlib.sha256(f"blind study {seed} world {index}".encode()).digest()[:6], "big")
+    return int.from_bytes(hashlib.sha256(f"{study} {seed} world {index}".encode()).digest()[:6], "big")
 
 
 def _rotation(names: Sequence[str], count: int, rng: np.random.Generator) -> list[str]:

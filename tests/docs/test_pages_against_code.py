@@ -67,6 +67,13 @@ def test_effects_page_is_the_one_the_code_makes() -> None:
     assert text_of("effects.md") == effects.page(load_effects()), "run `make docs`"
 
 
+def test_correction_page_says_how_every_effect_is_corrected_or_why_not() -> None:
+    assert table(text_of("guide/correction.md"), "What is corrected") == [
+        [f"`{name}`", "no" if closing.law is None else "yes", closing.law or closing.no_law]
+        for name, closing in ((effect.name, effect.closing) for effect in load_effects().values())
+    ]
+
+
 def test_rules_page_is_the_one_the_code_makes() -> None:
     assert text_of("tracing-rules.md") == rules.page(table_of_rules()), "run `make docs`"
 

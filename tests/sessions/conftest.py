@@ -69,18 +69,34 @@ def _figure_eight() -> Callable[..., Reference]:
 
 
 @pytest.fixture
-def trimtab(
+def run_trimtab(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., dict[str, Any]]:
-    """Runs the command line in the test's folder, which is the workspace: the JSON of its last line."""
+) -> Callable[..., tuple[int, dict[str, Any], str]]:
+    """Runs the command line in the test's folder: exit code, the JSON of the last line, stderr."""
     monkeypatch.chdir(tmp_path)
 
-    def run(*words: str) -> dict[str, Any]:
+    def run(*words: str) -> tuple[int, dict[str, Any], str]:
         monkeypatch.setattr(output, "_emitted", False)
-        monkeypatch.setattr("sys.argv", ["trimtab", *words, "--json"])
+        monkeypatch.setattr("sys.argv", ["trimtab", *words])
         capsys.readouterr()
-        assert cli.main([*words, "--json"]) == 0, capsys.readouterr().err
-        return json.loads(capsys.readouterr().out.strip().splitlines()[-1])
+        code = cli.main(words)
+        told = capsys.readouterr()
+        last = told.out.strip().splitlines()[-1:] or [""]
+        return code, json.loads(last[0]) if last[0].startswith("{") else {}, told.err
+
+    return run
+
+
+@pytest.fixture
+def trimtab(
+    run_trimtab: Callable[..., tuple[int, dict[str, Any], str]],
+) -> Callable[..., dict[str, Any]]:
+    """Runs the command line in the test's folder, which is the workspace: the JSON of its last line."""
+
+    def run(*words: str) -> dict[str, Any]:
+        code, told, complaint = run_trimtab(*words, "--json")
+        assert code == 0, complaint
+        return told
 
     return run
 

@@ -601,7 +601,9 @@ def test_blob_for_another_vehicle_than_the_ports_is_refused(
     assert process.stdout is not None
     try:
         port = process.stdout.readline().strip()
-        wanted = f"the reference is for the research ({vehicle.id}); plan again with --vehicle nano, or check"
+        wanted = (
+            f"the reference is for the research ({vehicle.id}); make it again with --vehicle nano, or check"
+        )
         refused("upload", ref, "--port", port, code=2, parts=[f"{port} is the nano (", wanted])
         refused(*fly_words(port), code=2, parts=[f"{port} is the nano (", wanted])
     finally:

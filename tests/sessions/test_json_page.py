@@ -9,6 +9,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -32,10 +33,12 @@ from trimtab.host.apps.paper.tuning.table import QUICK
 from trimtab.host.link.download import Download
 from trimtab.host.link.upload import UploadResult
 from trimtab.host.log import read_flight
+from trimtab.host.models.file import read_model, write_model
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.studies.link import summary as link_summary
 from trimtab.sitl.studies.real import Group, real_row
+from trimtab.sitl.studies.scoring import correction
 from trimtab.sitl.studies.scoring.metrics import baseline_rows, summary
 from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS
 from trimtab.sitl.studies.upload_flight import RADIOS
@@ -209,6 +212,13 @@ def running(*words: str) -> Iterator[tuple[str, Callable[[], Any]]]:
         process.communicate()
 
 
+def test_correct_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], drag_model: str) -> None:
+    model = read_model(drag_model)
+    more = replace(model, effects={**model.effects, "com-offset": {"x": 0.01}})
+    write_model(more, "more.model.toml")
+    check("correct", trimtab("correct", "more.model.toml", "-o", "more.ff"))
+
+
 def test_sitl_and_poses_print_what_the_page_says(mocap_url: str) -> None:
     with running("sitl", "--port", "udp:127.0.0.1:0", "--mocap", mocap_url) as (port, end):
         with running("poses", "--port", port, "--mocap", mocap_url) as (said, end_poses):
@@ -260,6 +270,16 @@ def test_study_prints_what_the_page_says() -> None:
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
     beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}
     check("study", {**told, **summary(scores), **beside})
+
+
+def test_study_correction_prints_what_the_page_says() -> None:
+    flight = {"whole": True, "rmse_m": 0.1, "stamped_rmse_m": 0.1, "faded_s": 0.0}
+    score = {
+        "models": {name: {"id": "0" * 12, "verdict": "traced"} for name in correction.MODELS},
+        "flights": [{"uncorrected": flight, **dict.fromkeys(correction.MODELS, flight)}],
+    }
+    told = {"study": "correction", "seed": 1, "worlds": 2, "quick": False, "folder": "f", "report": "r.html"}
+    check("study correction", {**told, **correction.summary({"0000": score, "0001": score}, 1)})
 
 
 def test_study_link_prints_what_the_page_says() -> None:

@@ -128,3 +128,29 @@ def test_pty_flight_by_a_controller_on_the_host(
     steps = read_flight(result.log).host_control
     assert steps is not None
     assert len(steps) > 0.9 * (reference.duration_us + 2_000_000) / steps.period_us
+
+
+@pytest.mark.full  # beside the flights in lock-step and the upload in test_correct.py
+def test_pty_flight_after_upload_of_a_correction_flies_with_it(
+    run_trimtab: Callable[..., tuple[int, dict, str]],
+    vehicle: Vehicle,
+    reference: Reference,
+    drag_model: str,
+    mocap_url: str,
+    tmp_path: Path,
+) -> None:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    assert run_trimtab("correct", drag_model, "-o", "drag.ff")[0] == 0
+    with served("--port", "pty", "--mocap", mocap_url, "--world", "paper-drag") as (port, end):
+        for blob in ("eight.ref", "drag.ff"):
+            assert run_trimtab("upload", blob, "--port", port)[0] == 0
+        words = ("--port", port, "--mocap", mocap_url, "--feedforward", "drag.ff", "-o", "x.mcap", "--json")
+        code, told, complaint = run_trimtab("fly", "eight.ref", *words)
+        end()
+    assert code == 0, complaint
+    assert told["whole"]
+    assert told["tracking_rmse_m"] < 0.15
+    flight = read_flight(tmp_path / "x.mcap")
+    assert flight.feedforward is not None
+    assert flight.feedforward.to_bytes() == (tmp_path / "drag.ff").read_bytes()
+    assert flight.metadata["feedforward_id"] == flight.feedforward.id

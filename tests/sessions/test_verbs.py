@@ -36,22 +36,8 @@ LINK_KEYS = {"frames_sent", "frames_lost", "rtt_ms", "mocap_age_ms_p99"}
 
 
 @pytest.fixture
-def trimtab(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
-) -> Callable[..., tuple[int, dict[str, Any], str]]:
-    """Runs the command line in the test's folder: exit code, the JSON of the last line, stderr."""
-    monkeypatch.chdir(tmp_path)
-
-    def run(*words: str) -> tuple[int, dict[str, Any], str]:
-        monkeypatch.setattr(output, "_emitted", False)
-        monkeypatch.setattr("sys.argv", ["trimtab", *words])
-        capsys.readouterr()
-        code = cli.main(words)
-        told = capsys.readouterr()
-        last = told.out.strip().splitlines()[-1:] or [""]
-        return code, json.loads(last[0]) if last[0].startswith("{") else {}, told.err
-
-    return run
+def trimtab(run_trimtab: Callable[..., tuple[int, dict[str, Any], str]]) -> Callable[..., Any]:
+    return run_trimtab
 
 
 @pytest.fixture

@@ -39,7 +39,7 @@ def test_check_same_vehicle_names_both_and_what_to_do() -> None:
         (
             Identity(vehicle_id=nano, uid="1"),
             rf"^ttyX is the nano \({nano}\), the reference is for the research \({research}\); "
-            "plan again with --vehicle nano, or check the port$",
+            "make it again with --vehicle nano, or check the port$",
         ),
         (STRANGER, "^ttyX is vehicle a{12}, the reference is .* --vehicle and the file of that vehicle, or"),
     ):

@@ -77,6 +77,30 @@ def test_region_is_that_of_the_reference_with_the_corrected_thrust(vehicle: Vehi
     )
 
 
+def test_region_with_sag_spans_the_thrusts_from_an_empty_to_a_full_battery(vehicle: Vehicle) -> None:
+    made = correction(model(vehicle, battery_sag={"exponent": 2.0}), vehicle, EFFECTS)
+    assert made.feedforward is not None
+    assert made.feedforward.region is not None
+    battery = vehicle.battery
+    low = 5.0 / vehicle.mass_kg * (battery.empty_v / battery.full_v) ** 2
+    assert made.feedforward.region.thrust_min_m_s2 == pytest.approx(low, rel=1e-6)
+    assert made.feedforward.region.thrust_max_m_s2 == pytest.approx(10.0 / vehicle.mass_kg, rel=1e-6)
+
+
+def test_wind_is_corrected_only_with_a_drag(vehicle: Vehicle) -> None:
+    windy = {"wind": {"wx": 2.0, "wy": 0.0}}
+    alone = correction(model(vehicle, **windy), vehicle, EFFECTS)
+    assert alone.feedforward is None
+    assert list(alone.uncorrected) == ["wind"]
+    gained = correction(model(vehicle, **windy, thrust_gain={"gain": 0.9}), vehicle, EFFECTS)
+    assert entry(gained.feedforward, "wind_ned") == (0.0, 0.0, 0.0)
+    assert (list(gained.corrected), list(gained.uncorrected)) == (["thrust-gain"], ["wind"])
+    for drag in ({"linear_drag": {"dx": 0.1}}, {"quadratic_drag": {"c": 0.1}}, {"thrust_inflow": {"k": 0.5}}):
+        moving = correction(model(vehicle, **windy, **drag), vehicle, EFFECTS)
+        assert entry(moving.feedforward, "wind_ned") == (2.0, 0.0, 0.0)
+        assert "wind" in moving.corrected
+
+
 def test_adjustments_are_corrected_and_never_listed_as_uncorrected(vehicle: Vehicle) -> None:
     adjusted = model(vehicle, adjustments={"mass": {"factor": 1.002}, "actuation-delay": {"delay_s": 0.001}})
     made = correction(adjusted, vehicle, EFFECTS)
