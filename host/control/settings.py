@@ -33,21 +33,15 @@ class Tuned(Strict):
     """Command that repeats the tuning."""
 
 
-class GainsOverride(Strict):
-    """Gains that replace those of the vehicle file; a gain that is not given stays."""
+class GainFactors(Strict):
+    """Factors on gains of the vehicle file. They fit vehicles of every size."""
 
-    position_p: NonNegative3 | None = None
-    """1/s^2."""
-    velocity_d: NonNegative3 | None = None
-    """1/s."""
-    attitude_p: NonNegative3 | None = None
-    """1/s."""
-    rate_p: NonNegative3 | None = None
-    """1/s."""
-    rate_i: NonNegative3 | None = None
-    """1/s^2."""
-    rate_d: NonNegative3 | None = None
-    """Dimensionless."""
+    position_p: Positive = 1.0
+    velocity_d: Positive = 1.0
+    attitude_p: Positive = 1.0
+    rate_p: Positive = 1.0
+    rate_i: Positive = 1.0
+    rate_d: Positive = 1.0
 
 
 class DfbcSettings(Strict):
@@ -58,7 +52,7 @@ class DfbcSettings(Strict):
     """Bandwidth of the disturbance observer (parameter OBS_GAIN); 0 for none."""
     feedforward: bool
     """Whether the flight needs a feed-forward of the learned residual on board."""
-    gains: GainsOverride = GainsOverride()
+    gain_factors: GainFactors = GainFactors()
     tuned: Tuned | None = None
 
     def parameters(self, vehicle: Vehicle) -> dict[str, float]:
@@ -66,8 +60,10 @@ class DfbcSettings(Strict):
 
         Raises ConfigurationError for values that the firmware does not accept.
         """
-        changed = {name: value for name, value in self.gains.model_dump().items() if value is not None}
-        gains = {**vehicle.gains.model_dump(), **changed, "observer": self.observer_bandwidth_1_s}
+        gains = vehicle.gains.model_dump()
+        for name, factor in self.gain_factors.model_dump().items():
+            gains[name] = tuple(factor * gain for gain in gains[name])
+        gains["observer"] = self.observer_bandwidth_1_s
         return to_parameters(vehicle.replace(gains=gains))
 
 

@@ -13,7 +13,7 @@ from trimtab.host.cli import VERBS, build_app
 from trimtab.host.control.settings import (
     AdaptationSettings,
     DfbcSettings,
-    GainsOverride,
+    GainFactors,
     MpcSettings,
     Tuned,
     Weights,
@@ -40,7 +40,7 @@ PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglo
 @pytest.mark.parametrize(
     ("page", "models"),
     [
-        ("../concepts/controllers.md", (DfbcSettings, MpcSettings, GainsOverride, Weights)),
+        ("../concepts/controllers.md", (DfbcSettings, MpcSettings, GainFactors, Weights)),
         ("../concepts/controllers.md", (AdaptationSettings, Tuned)),
         ("vehicle-file.md", (Vehicle, Rotor, Battery, Limits, Gains)),
         ("route-file.md", (RouteFile, YawProfile, LimitsOverride, Gate, Box, Sphere, Cylinder)),

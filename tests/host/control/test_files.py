@@ -63,7 +63,7 @@ def test_horizon_and_step_are_those_of_the_paper() -> None:
             DFBC.replace("false", '"no"'),
             "x.toml: feedforward: 'no' is not true or false; write true or false",
         ),
-        (DFBC + "[gains]\nposition_p = [1.0, 2.0]\n", None),
+        (DFBC + "[gain_factors]\nposition_p = [1.0, 2.0]\n", None),
         ("kind = ", None),
     ],
 )
@@ -76,11 +76,11 @@ def test_bad_file_is_refused_with_one_line(text: str, line: str | None) -> None:
 
 
 def test_dfbc_settings_become_firmware_parameters() -> None:
-    text = DFBC.replace("s = 0.0", "s = 2.5") + "[gains]\nposition_p = [1.0, 2.0, 3.0]\n"
+    text = DFBC.replace("s = 0.0", "s = 2.5") + "[gain_factors]\nposition_p = 1.5\n"
     settings = parse_controller(text, "x.toml")
     assert isinstance(settings, DfbcSettings)
     changed, before = settings.parameters(VEHICLE), to_parameters(VEHICLE)
-    expected = {"OBS_GAIN": 2.5, "POS_P_N": 1.0, "POS_P_E": 2.0, "POS_P_D": 3.0}
+    expected = {"OBS_GAIN": 2.5} | {f"POS_P_{axis}": 1.5 * before[f"POS_P_{axis}"] for axis in "NED"}
     assert changed == {**before, **expected}
 
 

@@ -40,7 +40,7 @@ def fly_point(
 
     repetition: chooses noise, turbulence and radio. quick: fly the first leg alone. The logs are removed.
     """
-    settings = settings_at(controller, parameters, factors, vehicle)
+    settings = settings_at(controller, parameters, factors)
     by = flown_by(controller, settings, vehicle, feedforward=False)
     errors: list[float | None] = []
     failed = []

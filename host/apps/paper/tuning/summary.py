@@ -29,7 +29,7 @@ def summary(
         "world_seeds": list(WORLD_SEEDS),
         "courses": list(COURSES),
         "paces": list(PACES),
-        "searches": {search.name: _searched(search, tuned[search.name], vehicle) for search in searches},
+        "searches": {search.name: _searched(search, tuned[search.name]) for search in searches},
         "points": points,
     }
     tables = {
@@ -63,20 +63,20 @@ def _point(result: Mapping[str, Any]) -> dict[str, Any]:
     return {**result, "error_m": None if score is None else math.exp(score)}
 
 
-def _searched(search: Search, tuned: Mapping[str, Any], vehicle: Vehicle) -> dict[str, Any]:
+def _searched(search: Search, tuned: Mapping[str, Any]) -> dict[str, Any]:
     return {
         "spread": tuned["spread"],
         "parameters": {
-            each.name: {**tuned["parameters"][each.name], **_place(each, tuned["parameters"], vehicle)}
+            each.name: {**tuned["parameters"][each.name], **_place(each, tuned["parameters"])}
             for each in search.parameters
         },
     }
 
 
-def _place(parameter: Parameter, tuned: Mapping[str, Any], vehicle: Vehicle) -> dict[str, Any]:
+def _place(parameter: Parameter, tuned: Mapping[str, Any]) -> dict[str, Any]:
     """Return where a parameter stands in which files, and its value."""
     key = f"{parameter.table}.{parameter.key}" if parameter.table else parameter.key
-    value = parameter.value(tuned[parameter.name]["factor"], vehicle)
+    value = parameter.value(tuned[parameter.name]["factor"])
     return {"files": list(parameter.files), "key": key, "value": list(value)}
 
 

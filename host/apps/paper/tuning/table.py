@@ -1,7 +1,7 @@
 """What is tuned: parameters of controller files, the values to try, and the flights that score a point.
 
-All values are factors on a start. The starts are fixed here, or are the gains of the vehicle file, so a
-repetition of the search tries the same points whatever the controller files hold.
+All values are factors on a start, which is fixed here. A repetition of the search therefore tries the same
+points whatever the controller files hold.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from itertools import product
 
 from trimtab.host.control.files import load_controller
 from trimtab.host.control.settings import ControllerSettings
-from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.strict_toml import validate
 
 WORLD, WORLD_SEEDS = "paper-drag", (7001, 7002, 7003)
@@ -27,8 +26,7 @@ _BANDWIDTHS = (0.5, 1.0, 1.5, 2.0, 3.0, 4.0)
 class Parameter:
     """A setting of the controllers `files`: a key of `table`, or of the file itself if that is empty.
 
-    factors: values to try, ascending, over the start. start: value at factor 1; None for that of the vehicle
-    file's gains.
+    factors: values to try, ascending, over the start. start: value at factor 1.
     """
 
     name: str
@@ -36,12 +34,11 @@ class Parameter:
     table: str
     key: str
     factors: tuple[float, ...]
-    start: tuple[float, ...] | None = None
+    start: tuple[float, ...]
 
-    def value(self, factor: float, vehicle: Vehicle) -> tuple[float, ...]:
+    def value(self, factor: float) -> tuple[float, ...]:
         """Return the setting's value at a factor, to six digits."""
-        start = self.start if self.start is not None else getattr(vehicle.gains, self.key)
-        return tuple(float(f"{factor * each:.6g}") for each in start)
+        return tuple(float(f"{factor * each:.6g}") for each in self.start)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -86,7 +83,7 @@ _OBSERVER = Parameter(
 
 
 def _gain(name: str, key: str) -> Parameter:
-    return Parameter(name=name, files=_DFBC, table="gains", key=key, factors=_NEAR)
+    return Parameter(name=name, files=_DFBC, table="gain_factors", key=key, factors=_NEAR, start=(1.0,))
 
 
 def _weight(name: str, key: str, start: tuple[float, float, float]) -> Parameter:
@@ -138,13 +135,13 @@ QUICK = (
 
 
 def settings_at(
-    controller: str, parameters: tuple[Parameter, ...], factors: Mapping[str, float], vehicle: Vehicle
+    controller: str, parameters: tuple[Parameter, ...], factors: Mapping[str, float]
 ) -> ControllerSettings:
     """Return the settings of a controller file with its parameters at these factors."""
     settings = load_controller(controller)
     data = settings.model_dump(mode="json", exclude={"tuned"}, exclude_none=True)
     for each in parameters:
-        value = each.value(factors[each.name], vehicle)
+        value = each.value(factors[each.name])
         table = data[each.table] if each.table else data
         table[each.key] = value[0] if len(value) == 1 else list(value)
     return validate(data, controller, type(settings))

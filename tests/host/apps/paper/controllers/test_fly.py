@@ -89,14 +89,14 @@ def test_row_of_a_flight_has_its_error_and_no_log_remains(site: Site, tmp_path: 
 
 
 def test_pilot_is_what_the_controller_file_says(site: Site):
-    observer = pilot(BY_NAME["dfbc-do"], "ours", site)
-    assert set(observer.flown_by.parameters) == {"OBS_GAIN"}
+    plain, observer = (pilot(BY_NAME[name], "ours", site) for name in ("dfbc", "dfbc-do"))
+    assert set(observer.flown_by.parameters) == {"OBS_GAIN", *plain.flown_by.parameters}
     assert observer.feedforward is None
     both = pilot(BY_NAME["dfbc-neural-do"], "ours", site)
     assert both.flown_by.parameters == observer.flown_by.parameters
     assert both.feedforward is not None
     assert both.feedforward.model_id == DRAG.id
-    assert pilot(BY_NAME["dfbc"], "ours", site).flown_by.parameters == {}
+    assert "OBS_GAIN" not in plain.flown_by.parameters
 
 
 def test_model_without_anything_to_feed_forward_is_a_failure_of_its_controllers(site: Site, tmp_path: Path):

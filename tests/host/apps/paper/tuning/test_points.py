@@ -42,8 +42,8 @@ def test_pace_stretches_the_time_of_a_course() -> None:
 
 def test_settings_at_a_factor_change_that_setting_only() -> None:
     search = BY_NAME["mpc"]
-    base = settings_at("mpc-l1", search.of("mpc-l1"), start("mpc"), VEHICLE)
-    moved = settings_at("mpc-l1", search.of("mpc-l1"), {**start("mpc"), "velocity": 2.0}, VEHICLE)
+    base = settings_at("mpc-l1", search.of("mpc-l1"), start("mpc"))
+    moved = settings_at("mpc-l1", search.of("mpc-l1"), {**start("mpc"), "velocity": 2.0})
     assert isinstance(base, MpcSettings)
     assert isinstance(moved, MpcSettings)
     assert moved.weights.velocity_s2_m2 == (10.0, 10.0, 10.0)
@@ -53,11 +53,11 @@ def test_settings_at_a_factor_change_that_setting_only() -> None:
 
 def test_gains_of_the_flatness_based_controller_start_at_those_of_the_vehicle() -> None:
     search = BY_NAME["dfbc"]
-    at_start = settings_at("dfbc", search.of("dfbc"), start("dfbc"), VEHICLE)
+    at_start = settings_at("dfbc", search.of("dfbc"), start("dfbc"))
     assert isinstance(at_start, DfbcSettings)
-    assert at_start.gains.position_p == VEHICLE.gains.position_p
+    assert at_start.gain_factors.position_p == 1.0
     assert at_start.observer_bandwidth_1_s == 0.0
-    moved = settings_at("dfbc-do", search.of("dfbc-do"), {**start("dfbc"), "observer": 1.5}, VEHICLE)
+    moved = settings_at("dfbc-do", search.of("dfbc-do"), {**start("dfbc"), "observer": 1.5})
     assert isinstance(moved, DfbcSettings)
     assert moved.observer_bandwidth_1_s == 4.5
 
@@ -103,9 +103,8 @@ def test_controller_file_holds_values_that_the_study_tried(name: str, search) ->
     data = load_controller(name).model_dump()
     for each in search.of(name):
         value = (data[each.table] if each.table else data)[each.key]
-        if value is not None:  # a gain that is not overridden is that of the vehicle file
-            value = value if isinstance(value, tuple) else (value,)
-            assert value in [each.value(factor, VEHICLE) for factor in each.factors]
+        value = value if isinstance(value, tuple) else (value,)
+        assert value in [each.value(factor) for factor in each.factors]
 
 
 def test_variants_with_a_model_share_the_tuned_settings() -> None:
@@ -116,4 +115,4 @@ def test_variants_with_a_model_share_the_tuned_settings() -> None:
         assert second == first.model_copy(update={"feedforward": True})
     assert isinstance(observers[0], DfbcSettings)
     assert isinstance(plain[0], DfbcSettings)
-    assert observers[0].gains == plain[0].gains
+    assert observers[0].gain_factors == plain[0].gain_factors
