@@ -17,6 +17,7 @@ from trimtab.host.apps.paper.flight.controllers import BANDWIDTH
 from trimtab.host.apps.paper.flight.models import PAPER_SETTINGS, SEGMENT_STEPS
 from trimtab.host.apps.paper.flight.pretzel import LAMBDA_R, NODES
 from trimtab.host.apps.paper.paths import Room
+from trimtab.host.learn.ahead import AHEAD_S
 
 _HEAD = """# The paper's flight section, compared
 
@@ -74,8 +75,16 @@ course. *Baseline* is the flatness-based law. *DO* adds the disturbance observer
 combinations of a world fly with the same flight indices, so with the same noise, turbulence and battery.
 Intervals are 95 % of bootstraps over worlds, and over flights inside each world.
 
-**Remark 1.** The models are learned from flights of the baseline. DO, the feed-forward alone and Neural DO
-then fly the test's references, and the same models predict those flights.
+**Remark 1.** The models are learned from flights of the baseline. Other controllers then fly the test's
+references, and the same models predict those flights: DO, the feed-forward alone and Neural DO on board, and
+three [controllers on the host](../concepts/controllers.md): nominal MPC, L1-adaptive MPC, and the MPC whose
+prediction has our model. Two horizons are reported. *Whole flight*: the model predicts the flight from its
+reference, through the law on board. It does not know the controllers on the host, so those flights have no
+such row. *{ahead_s:g} s ahead*: the recorded motor commands drive the model from measured states, end to end
+over the flight; every controller has such a row, and `trimtab learn --hold-out` scores flights by a
+controller on the host so. Compare ratios within one horizon. The converse, a model learned from flights of
+an MPC, is not measured: `trimtab learn` predicts the flights that it learns from by the law on board, and
+refuses those of a controller on the host.
 
 """
 
@@ -117,6 +126,7 @@ def _method() -> str:
         steps=NODES,
         lambda_r=LAMBDA_R,
         bandwidth=BANDWIDTH,
+        ahead_s=AHEAD_S,
     )
     return _wrapped(text)
 

@@ -19,6 +19,7 @@ from trimtab.host.base import artefacts
 from trimtab.host.base.errors import FlightFailed
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
+from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port
 from trimtab.host.link.vehicle import vehicle_class
@@ -61,11 +62,13 @@ class Airfield:
         *,
         feedforward: FeedForward | None = None,
         parameters: Mapping[str, float] = MappingProxyType({}),
+        control: HostControl | None = None,
         model_id: str | None = None,
     ) -> FlightResult:
         """Fly with a new vehicle after uploading the blobs in lock-step, and return the result.
 
-        parameters: values to set on board before the flight, instead of the vehicle file's.
+        parameters: values to set on board before the flight, instead of the vehicle file's. control:
+        controller on the host, instead of the law on board.
         """
         with closing(self.power_up(reference, flight)) as simulated:
             return self.fly_with(
@@ -75,11 +78,12 @@ class Airfield:
                 log,
                 feedforward=feedforward,
                 parameters=parameters,
+                control=control,
                 model_id=model_id,
                 upload=True,
             )
 
-    def fly_with(
+    def fly_with(  # noqa: PLR0913 (one keyword for each choice)
         self,
         simulated: Any,
         reference: Reference,
@@ -88,6 +92,7 @@ class Airfield:
         *,
         feedforward: FeedForward | None = None,
         parameters: Mapping[str, float] = MappingProxyType({}),
+        control: HostControl | None = None,
         model_id: str | None = None,
         upload: bool = False,
     ) -> FlightResult:
@@ -104,6 +109,7 @@ class Airfield:
             upload=upload,
             parameters=parameters,
             model_id=model_id,
+            control=control,
             session={**self.session, "flight": str(flight)},
         )
         before = _file_number(log)

@@ -1,14 +1,15 @@
-"""The two ways of learning in table II, and the prediction errors of a model."""
+"""The two ways of learning in table II, and the prediction errors of a model over three horizons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from trimtab.host.effects import Effect
 from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
+from trimtab.host.learn.ahead import ahead
 from trimtab.host.learn.evaluate import Errors, model_parts, whole_flights
 from trimtab.host.learn.learn import region
 from trimtab.host.learn.train import train
@@ -21,6 +22,8 @@ from trimtab.host.models.segments import cut
 from trimtab.host.models.states import States, flight_states
 
 PAPER, OURS = "paper", "ours"
+FLIGHTS, SEGMENTS, AHEAD = "flights", "segments", "ahead"
+"""Horizons: whole flights and segments of 25 nodes, driven by the reference; AHEAD_S from motor commands."""
 SEGMENT_STEPS = 24
 """Steps of 20 ms between the 25 nodes of a segment (paper VI-B.2)."""
 PAPER_WEIGHT = np.array([1.0, 1.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0])
@@ -36,18 +39,6 @@ PAPER_SETTINGS = Settings(
     free_start=False,
 )
 """As in the paper (VI-B.2): starts as measured, headings as flown, no penalty and no early stop."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """Errors of a model: of whole flights driven by the reference, and of segments of 25 nodes."""
-
-    flights: Errors
-    segments: Errors
-
-    def to_json(self) -> dict[str, dict[str, float | None]]:
-        """Return the errors; None where a roll-out diverged."""
-        return {"flights": self.flights.to_json(), "segments": self.segments.to_json()}
 
 
 def learn_as_paper(flights: Sequence[Flight], seed: int, *, epochs: int = PAPER_SETTINGS.epochs) -> Model:
@@ -95,8 +86,13 @@ def learn_as_ours(flights: Sequence[Flight], effects: Mapping[str, Effect], seed
     return found.model, found.selected.what
 
 
-def predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> Prediction:
-    """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone."""
+def predict(
+    flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect], *, horizons: Sequence[str]
+) -> dict[str, Errors]:
+    """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone.
+
+    horizons: one or more of FLIGHTS, SEGMENTS and AHEAD; flights by a controller on the host have AHEAD only.
+    """
     states = flight_states(flights)
     parts = model_parts(model, effects)
     phi = Phi(
@@ -105,10 +101,12 @@ def predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str
         parameters=states[0].parameters,
     )
     theta, network = phi.theta(parts), None if model is None else model.network
-    return Prediction(
-        flights=whole_flights(phi, theta, states, network),
-        segments=_segments(phi, theta, states, network),
-    )
+    errors_by = {
+        FLIGHTS: lambda: whole_flights(phi, theta, states, network),
+        SEGMENTS: lambda: _segments(phi, theta, states, network),
+        AHEAD: lambda: ahead(phi, theta, states, flights, network),
+    }
+    return {horizon: errors_by[horizon]() for horizon in horizons}
 
 
 def _segments(phi: Phi, theta: np.ndarray, states: Sequence[States], network: Network | None) -> Errors:

@@ -9,7 +9,7 @@ import numpy as np
 
 from trimtab.host.apps.paper.flight import published, tables
 from trimtab.host.apps.paper.flight.controllers import TABLE_III
-from trimtab.host.apps.paper.flight.models import OURS, PAPER
+from trimtab.host.apps.paper.flight.models import FLIGHTS, OURS, PAPER, SEGMENTS
 from trimtab.host.apps.paper.flight.pretzel import KINDS, MIN_RESIDUAL, MIN_SNAP
 from trimtab.host.apps.paper.flight.world import NOMINAL, SETS
 from trimtab.host.apps.paper.text import text
@@ -17,7 +17,6 @@ from trimtab.host.apps.paper.text import text
 Row = dict[str, Any]
 World = Mapping[str, Any]
 
-HORIZONS = ("flights", "segments")
 _SAMPLES = 10_000
 
 
@@ -27,11 +26,14 @@ def summary(answer: Mapping[str, Any], pieces: Mapping[str, Mapping[str, Any]]) 
     figures: Row = {
         "statistics": _statistics(worlds),
         "prediction": {
-            name: {horizon: _prediction([w["errors"][name] for w in worlds], horizon) for horizon in HORIZONS}
+            name: {
+                horizon: _prediction([w["errors"][name] for w in worlds], horizon)
+                for horizon in (FLIGHTS, SEGMENTS)
+            }
             for name in SETS
         },
         "controllers": {
-            law: _prediction([w["controllers"][law] for w in worlds if law in w["controllers"]], "flights")
+            law: _transfer([w["controllers"][law] for w in worlds if law in w["controllers"]])
             for law in dict.fromkeys(law for w in worlds for law in w["controllers"])
         },
         "pretzel": _pretzel([w["pretzel"] for w in worlds]),
@@ -140,6 +142,11 @@ def _statistics(worlds: Sequence[World]) -> Row:
         which: {key: _mean([w["statistics"][which][key] for w in worlds]) for key in rows}
         for which, rows in worlds[0]["statistics"].items()
     }
+
+
+def _transfer(errors: Sequence[Mapping[str, Any]]) -> Row:
+    """Return errors and ratios on flights of one controller over worlds, by horizon."""
+    return {horizon: _prediction(errors, horizon) for horizon in errors[0][NOMINAL]}
 
 
 def _prediction(errors: Sequence[Mapping[str, Any]], horizon: str) -> Row:

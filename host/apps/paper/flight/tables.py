@@ -6,9 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from trimtab.host.apps.paper.flight import published
-from trimtab.host.apps.paper.flight.controllers import BASELINE, NEURAL, NEURAL_OBSERVER, OBSERVER
-from trimtab.host.apps.paper.flight.models import OURS, PAPER
+from trimtab.host.apps.paper.flight.controllers import (
+    BASELINE,
+    MPC,
+    MPC_L1,
+    MPC_NEURAL,
+    NEURAL,
+    NEURAL_OBSERVER,
+    OBSERVER,
+)
+from trimtab.host.apps.paper.flight.models import AHEAD, FLIGHTS, OURS, PAPER, SEGMENTS
 from trimtab.host.apps.paper.flight.pretzel import KINDS, MIN_RESIDUAL, MIN_SNAP
+from trimtab.host.learn.ahead import AHEAD_S
 
 Cells = dict[str, str]
 
@@ -19,7 +28,15 @@ CONTROLLERS = {
     OBSERVER: "DO",
     NEURAL: "feed-forward",
     NEURAL_OBSERVER: "Neural DO",
+    MPC: "MPC",
+    MPC_L1: "L1-MPC",
+    MPC_NEURAL: "neural MPC",
 }
+TRANSFER = {
+    FLIGHTS: "whole flight, from its reference",
+    AHEAD: f"{AHEAD_S:g} s ahead, from its motor commands",
+}
+"""Horizons of remark 1."""
 QUANTITIES = {"position_rmse_m": "position, m", "velocity_rmse_m_s": "velocity, m/s"}
 _STATISTICS = {
     "speed_m_s": "speed, m/s",
@@ -40,10 +57,10 @@ def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
         "Worse than in the paper": _worse(figures),
         "Table I: statistics of the references": _statistics(figures["statistics"]),
         "Table II: prediction error of whole flights, mean over worlds": _prediction(
-            figures["prediction"], "flights"
+            figures["prediction"], FLIGHTS
         ),
         "Table II: prediction error of segments of 25 nodes, mean over worlds": _prediction(
-            figures["prediction"], "segments"
+            figures["prediction"], SEGMENTS
         ),
         "Table III: the pretzel": _pretzel(figures["pretzel"]),
         "Remark 1: learned under the baseline, predicting flights of other controllers": _controllers(
@@ -135,10 +152,18 @@ def _pretzel(pretzel: Mapping[str, Any]) -> list[Cells]:
 
 
 def _controllers(controllers: Mapping[str, Any]) -> list[Cells]:
+    """Return a row for each controller, of whole flights first; ratios compare within a horizon."""
     rows = []
-    for law, found in controllers.items():
+    chosen = [
+        (horizon, law, of[horizon])
+        for horizon in TRANSFER
+        for law, of in controllers.items()
+        if horizon in of
+    ]
+    for horizon, law, found in chosen:
         row = {
             "flown by": CONTROLLERS[law],
+            "predicted": TRANSFER[horizon],
             "nominal, m": _spread(found["errors"]["nominal"]["position_rmse_m"], "mean", ".3f"),
         }
         for method, title in METHODS.items():

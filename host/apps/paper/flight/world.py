@@ -19,9 +19,19 @@ from trimtab.host.apps.paper.flight.controllers import (
     BASELINE,
     TABLE_III,
     Controller,
-    controllers,
+    on_board,
+    on_host,
 )
-from trimtab.host.apps.paper.flight.models import OURS, PAPER, learn_as_ours, learn_as_paper, predict
+from trimtab.host.apps.paper.flight.models import (
+    AHEAD,
+    FLIGHTS,
+    OURS,
+    PAPER,
+    SEGMENTS,
+    learn_as_ours,
+    learn_as_paper,
+    predict,
+)
 from trimtab.host.apps.paper.flight.pretzel import fly_pretzel
 from trimtab.host.apps.paper.paths import Course, statistics
 from trimtab.host.base.errors import FlightFailed
@@ -62,6 +72,7 @@ class _Site:
                     log,
                     feedforward=controller.feedforward,
                     parameters=controller.parameters,
+                    control=controller.control,
                     model_id=controller.model_id,
                 )
                 flown[course.name] = read_flight(log)
@@ -100,8 +111,10 @@ def fly_world(
     made = correction(ours, vehicle, effects)
     if made.excess is not None:
         failed.append({"flight": "feed-forward", "why": f"{made.excess.quantity} beyond its range"})
-    laws = controllers(made.feedforward if made.excess is None else None)
-    by_controller, lost = _transfer(site, courses, sets["test"], flown, laws, models, effects)
+    laws = on_board(made.feedforward if made.excess is None else None)
+    others = [law for law in laws if law.name != BASELINE] + on_host(vehicle, ours, effects)
+    tested = [c for c in courses if flown.get(c.name) in sets["test"]]
+    by_controller, lost = _transfer(site, tested, others, models, effects)
     return {
         "world": world,
         "statistics": {
@@ -111,8 +124,13 @@ def fly_world(
         "flights": {name: len(flights) for name, flights in sets.items()},
         "selected": selected,
         "network": ours.network is not None,
-        "errors": {name: _errors(flights, models, effects) for name, flights in sets.items()},
-        "controllers": by_controller,
+        "errors": {
+            name: _errors(flights, models, effects, (FLIGHTS, SEGMENTS)) for name, flights in sets.items()
+        },
+        "controllers": {
+            BASELINE: _errors(sets["test"], models, effects, (FLIGHTS, AHEAD)),
+            **by_controller,
+        },
         "pretzel": fly_pretzel(
             field,
             ResidualModel.of(ours, effects),
@@ -142,32 +160,39 @@ def split(
 
 
 def _errors(
-    flights: Sequence[Flight], models: Mapping[str, Model | None], effects: Mapping[str, Effect]
+    flights: Sequence[Flight],
+    models: Mapping[str, Model | None],
+    effects: Mapping[str, Effect],
+    horizons: Sequence[str],
 ) -> dict[str, Any]:
-    """Return the prediction errors of each model on the same flights."""
-    return {name: predict(flights, model, effects).to_json() for name, model in models.items()}
+    """Return the prediction errors of each model on the same flights, by horizon; None where it diverged."""
+    return {
+        name: {
+            horizon: errors.to_json()
+            for horizon, errors in predict(flights, model, effects, horizons=horizons).items()
+        }
+        for name, model in models.items()
+    }
 
 
 def _transfer(
     site: _Site,
     courses: Sequence[Course],
-    test: Sequence[Flight],
-    flown: Mapping[str, Flight],
-    laws: Sequence[Controller],
+    others: Sequence[Controller],
     models: Mapping[str, Model | None],
     effects: Mapping[str, Effect],
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """Return errors of remark 1 by controller on the test's references, and the flights that failed.
+    """Return errors of remark 1 on flights of the courses by other controllers, and the flights that failed.
 
-    The baseline's are those of the test's own flights. Of every controller, the models stay as learned from
-    flights of the baseline.
+    The models stay as learned from flights of the baseline. They know the law on board: flights by a
+    controller on the host are predicted AHEAD_S ahead only.
     """
-    tested = [c for c in courses if flown.get(c.name) in test]
-    by_controller: dict[str, Any] = {BASELINE: _errors(test, models, effects)}
+    by_controller: dict[str, Any] = {}
     failed: list[dict[str, str]] = []
-    for number, law in enumerate(law for law in laws if law.name != BASELINE):
-        flights, lost = site.fly(tested, _TRANSFER_FIRST + number * TEST_FLIGHTS, law)
+    for number, law in enumerate(others):
+        flights, lost = site.fly(courses, _TRANSFER_FIRST + number * TEST_FLIGHTS, law)
         failed += lost
         if flights:
-            by_controller[law.name] = _errors(list(flights.values()), models, effects)
+            horizons = (FLIGHTS, AHEAD) if law.control is None else (AHEAD,)
+            by_controller[law.name] = _errors(list(flights.values()), models, effects, horizons)
     return by_controller, failed

@@ -2,23 +2,33 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
-from trimtab.host.apps.paper.flight.controllers import BASELINE, NEURAL, NEURAL_OBSERVER, OBSERVER, TABLE_III
-from trimtab.host.apps.paper.flight.models import OURS, PAPER
+from trimtab.host.apps.paper.flight.controllers import (
+    BASELINE,
+    MPC,
+    MPC_L1,
+    MPC_NEURAL,
+    NEURAL,
+    NEURAL_OBSERVER,
+    OBSERVER,
+    TABLE_III,
+)
+from trimtab.host.apps.paper.flight.models import AHEAD, FLIGHTS, OURS, PAPER, SEGMENTS
 from trimtab.host.apps.paper.flight.pretzel import KINDS, MIN_RESIDUAL
 from trimtab.host.apps.paper.flight.world import NOMINAL, SETS
 
 NOMINAL_M = 0.1
 
 
-def errors(ratio: float) -> dict[str, Any]:
+def errors(ratio: float, horizons: Sequence[str]) -> dict[str, Any]:
     """Errors of which the paper's settings leave this share of the nominal model's, and ours half as much."""
     shares = {NOMINAL: 1.0, PAPER: ratio, OURS: 0.5 * ratio}
     return {
         model: {
             horizon: {"position_rmse_m": share * NOMINAL_M, "velocity_rmse_m_s": 2.0 * share * NOMINAL_M}
-            for horizon in ("flights", "segments")
+            for horizon in horizons
         }
         for model, share in shares.items()
     }
@@ -59,8 +69,11 @@ def made_up_world(world: int = 0, *, ratio: float = 0.5, error_m: float = 0.1) -
         "flights": {"train": 13, "test": 3, "ood": 3},
         "selected": "effects and network",
         "network": True,
-        "errors": {name: errors(ratio) for name in SETS},
-        "controllers": {law: errors(ratio) for law in (BASELINE, OBSERVER, NEURAL, NEURAL_OBSERVER)},
+        "errors": {name: errors(ratio, (FLIGHTS, SEGMENTS)) for name in SETS},
+        "controllers": {
+            **{law: errors(ratio, (FLIGHTS, AHEAD)) for law in (BASELINE, OBSERVER, NEURAL, NEURAL_OBSERVER)},
+            **{law: errors(ratio, (AHEAD,)) for law in (MPC, MPC_L1, MPC_NEURAL)},
+        },
         "pretzel": {
             "plans": {kind: dict(plan) for kind in KINDS},
             "flights": [
