@@ -75,16 +75,27 @@ course. *Baseline* is the flatness-based law. *DO* adds the disturbance observer
 combinations of a world fly with the same flight indices, so with the same noise, turbulence and battery.
 Intervals are 95 % of bootstraps over worlds, and over flights inside each world.
 
+The baseline has no integral: a residual that is constant over a flight, such as the thrust that a low battery
+lacks or the push of wind, leaves a constant error that both plans share. The planner's cost does not count it
+([planning](../concepts/planning.md)). The second table of the pretzel splits each flight's error into its
+mean vector, the constant part, and the rest. It also has the lengths of the paths: drag grows with speed, the
+time is fixed, and no path is shorter than the straight lines between the waypoints. Their ratio to the
+minimum-snap path limits the mean speed that a plan can save.
+
 **Remark 1.** The models are learned from flights of the baseline. Other controllers then fly the test's
-references, and the same models predict those flights: DO, the feed-forward alone and Neural DO on board, and
-three [controllers on the host](../concepts/controllers.md): nominal MPC, L1-adaptive MPC, and the MPC whose
-prediction has our model. Two horizons are reported. *Whole flight*: the model predicts the flight from its
-reference, through the law on board. It does not know the controllers on the host, so those flights have no
-such row. *{ahead_s:g} s ahead*: the recorded motor commands drive the model from measured states, end to end
-over the flight; every controller has such a row, and `trimtab learn --hold-out` scores flights by a
-controller on the host so. Compare ratios within one horizon. The converse, a model learned from flights of
-an MPC, is not measured: `trimtab learn` predicts the flights that it learns from by the law on board, and
-refuses those of a controller on the host.
+references, and the same models predict those flights: DO, the feed-forward alone and Neural DO on board,
+and three [controllers on the host](../concepts/controllers.md): nominal MPC, L1-adaptive MPC, and the MPC
+whose prediction has our model. Two horizons are reported. *Whole flight*: the model predicts the flight
+from its reference, through the law on board. It does not know the controllers on the host, so those
+flights have no such row. *{ahead_s:g} s ahead*: the recorded motor commands drive the model from measured
+states, end to end over the flight; every controller has such a row, and `trimtab learn --hold-out` scores
+flights by a controller on the host so. Compare ratios within one horizon. Most of the nominal error
+{ahead_s:g} s ahead is a torque, not an acceleration: the rate loop balances the offset of the centre of
+mass, and motor commands alone do not. The paper's settings learn an acceleration, ours that torque too.
+*With the same torque in all models*, the constant torque of ours, the models differ in the acceleration
+alone. The paper's L leaves the vertical out, which shows in these rows. The converse, a model learned
+from flights of an MPC, is not measured: `trimtab learn` predicts the flights that it learns from by the
+law on board, and refuses those of a controller on the host.
 
 """
 

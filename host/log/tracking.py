@@ -52,8 +52,8 @@ def _yaw_at(reference: Reference, t_us: Times) -> tuple[Floats, Floats]:
     return inner, np.where(held, 0.0, inner_rate)
 
 
-def tracking_distances(flight: Flight) -> Annotated[Floats, "poses"] | None:
-    """Return the distances, m, of which `tracking_error` gives the figures; None where it has none."""
+def tracking_errors_ned(flight: Flight) -> Annotated[Floats, "poses 3"] | None:
+    """Return pose minus reference, m, whose norm `tracking_error` sums up; None where it has no figures."""
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
     start_us, end_us = flight.tracking
@@ -61,14 +61,15 @@ def tracking_distances(flight: Flight) -> Annotated[Floats, "poses"] | None:
     if not keep.any():
         return None
     p_ref = reference_at(flight.reference, flight.mocap.t_us[keep] - start_us)[:, :3]
-    return np.linalg.norm(flight.mocap.p[keep] - p_ref, axis=1)
+    return flight.mocap.p[keep] - p_ref
 
 
 def tracking_error(flight: Flight) -> TrackingError | None:
     """Return the error over the flown part of the tracking phase; None without reference, phase or poses."""
-    distances = tracking_distances(flight)
-    if distances is None:
+    errors = tracking_errors_ned(flight)
+    if errors is None:
         return None
+    distances = np.linalg.norm(errors, axis=1)
     return TrackingError(
         mean_m=float(distances.mean()),
         rmse_m=float(np.sqrt((distances**2).mean())),

@@ -20,10 +20,19 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import cut
 from trimtab.host.models.states import States, flight_states
+from trimtab.host.vehicle import Vehicle
 
 PAPER, OURS = "paper", "ours"
 FLIGHTS, SEGMENTS, AHEAD = "flights", "segments", "ahead"
 """Horizons: whole flights and segments of 25 nodes, driven by the reference; AHEAD_S from motor commands."""
+AHEAD_SAME_TORQUE = "ahead-same-torque"
+"""AHEAD by models that all have the constant torque of ours.
+
+The rate loop balances that torque. Predictions from motor commands have no loop: without the torque they
+tilt away, which hides how well a model knows the acceleration.
+"""
+_TORQUE = "com-offset"
+"""Effect of the constant torque, one of DEFAULT_FORMS."""
 SEGMENT_STEPS = 24
 """Steps of 20 ms between the 25 nodes of a segment (paper VI-B.2)."""
 PAPER_WEIGHT = np.array([1.0, 1.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0])
@@ -84,6 +93,19 @@ def learn_as_ours(flights: Sequence[Flight], effects: Mapping[str, Effect], seed
         seed=seed,
     )
     return found.model, found.selected.what
+
+
+def with_torque(models: Mapping[str, Model | None], vehicle: Vehicle) -> dict[str, Model | None]:
+    """Return the models with the constant torque of ours; as they are if ours has none."""
+    ours = models[OURS]
+    if ours is None or _TORQUE not in ours.effects:
+        return dict(models)
+    alone = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
+    torque = {_TORQUE: ours.effects[_TORQUE]}
+    return {
+        name: ours if name == OURS else replace(model or alone, effects=torque)
+        for name, model in models.items()
+    }
 
 
 def predict(

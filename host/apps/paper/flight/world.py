@@ -24,6 +24,7 @@ from trimtab.host.apps.paper.flight.controllers import (
 )
 from trimtab.host.apps.paper.flight.models import (
     AHEAD,
+    AHEAD_SAME_TORQUE,
     FLIGHTS,
     OURS,
     PAPER,
@@ -31,6 +32,7 @@ from trimtab.host.apps.paper.flight.models import (
     learn_as_ours,
     learn_as_paper,
     predict,
+    with_torque,
 )
 from trimtab.host.apps.paper.flight.pretzel import fly_pretzel
 from trimtab.host.apps.paper.paths import Course, statistics
@@ -128,7 +130,7 @@ def fly_world(
             name: _errors(flights, models, effects, (FLIGHTS, SEGMENTS)) for name, flights in sets.items()
         },
         "controllers": {
-            BASELINE: _errors(sets["test"], models, effects, (FLIGHTS, AHEAD)),
+            BASELINE: _of_controller(sets["test"], models, effects),
             **by_controller,
         },
         "pretzel": fly_pretzel(
@@ -184,8 +186,7 @@ def _transfer(
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
     """Return errors of remark 1 on flights of the courses by other controllers, and the flights that failed.
 
-    The models stay as learned from flights of the baseline. They know the law on board: flights by a
-    controller on the host are predicted AHEAD_S ahead only.
+    The models stay as learned from flights of the baseline.
     """
     by_controller: dict[str, Any] = {}
     failed: list[dict[str, str]] = []
@@ -193,6 +194,18 @@ def _transfer(
         flights, lost = site.fly(courses, _TRANSFER_FIRST + number * TEST_FLIGHTS, law)
         failed += lost
         if flights:
-            horizons = (FLIGHTS, AHEAD) if law.control is None else (AHEAD,)
-            by_controller[law.name] = _errors(list(flights.values()), models, effects, horizons)
+            by_controller[law.name] = _of_controller(list(flights.values()), models, effects)
     return by_controller, failed
+
+
+def _of_controller(
+    flights: Sequence[Flight], models: Mapping[str, Model | None], effects: Mapping[str, Effect]
+) -> dict[str, Any]:
+    """Return the errors of remark 1 on flights of one controller, by model and horizon.
+
+    The models know the law on board: flights by a controller on the host are not predicted as whole flights.
+    """
+    on_board = all(flight.host_control is None for flight in flights)
+    errors = _errors(flights, models, effects, (FLIGHTS, AHEAD) if on_board else (AHEAD,))
+    same = _errors(flights, with_torque(models, flights[0].vehicle), effects, (AHEAD,))
+    return {name: {**each, AHEAD_SAME_TORQUE: same[name][AHEAD]} for name, each in errors.items()}

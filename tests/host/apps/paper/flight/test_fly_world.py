@@ -14,7 +14,7 @@ from trimtab.host.apps.paper.flight.controllers import (
     NEURAL_OBSERVER,
     OBSERVER,
 )
-from trimtab.host.apps.paper.flight.models import AHEAD, FLIGHTS
+from trimtab.host.apps.paper.flight.models import AHEAD, AHEAD_SAME_TORQUE, FLIGHTS
 from trimtab.host.apps.paper.flight.summary import summary
 from trimtab.host.vehicle import load_vehicle
 
@@ -31,21 +31,23 @@ def test_fly_world_measures_every_set_and_controller(tmp_path, monkeypatch):
     assert found["failed"] == []
     horizons = {law: list(errors["nominal"]) for law, errors in found["controllers"].items()}
     assert horizons == {
-        **{law: [FLIGHTS, AHEAD] for law in (BASELINE, OBSERVER, NEURAL, NEURAL_OBSERVER)},
-        **{law: [AHEAD] for law in (MPC, MPC_L1, MPC_NEURAL)},
+        **{law: [FLIGHTS, AHEAD, AHEAD_SAME_TORQUE] for law in (BASELINE, OBSERVER, NEURAL, NEURAL_OBSERVER)},
+        **{law: [AHEAD, AHEAD_SAME_TORQUE] for law in (MPC, MPC_L1, MPC_NEURAL)},
     }
     for name, errors in found["controllers"][BASELINE].items():
         assert errors[FLIGHTS] == found["errors"]["test"][name][FLIGHTS]
     test = found["errors"]["test"]
-    nominal_m, ours_m = (test[name]["flights"]["position_rmse_m"] for name in ("nominal", "ours"))
-    assert ours_m < 0.6 * nominal_m
+    nominal, ours = (test[name]["flights"]["position_rmse_m"] for name in ("nominal", "ours"))
+    assert ours < 0.6 * nominal
     # Remark 1: what the observer leaves is predicted better than without the residual, as is every flight.
     observed = found["controllers"][OBSERVER]
     assert observed["ours"][FLIGHTS]["position_rmse_m"] < observed["nominal"][FLIGHTS]["position_rmse_m"]
     for errors in found["controllers"].values():
-        assert errors["ours"][AHEAD]["position_rmse_m"] < 0.6 * errors["nominal"][AHEAD]["position_rmse_m"]
+        for horizon in (AHEAD, AHEAD_SAME_TORQUE):
+            nominal_m, ours_m = (errors[name][horizon]["position_rmse_m"] for name in ("nominal", "ours"))
+            assert ours_m < 0.6 * nominal_m
     assert len(found["pretzel"]["flights"]) == 6
     by_law = {f["controller"]: f["error_mean_m"] for f in found["pretzel"]["flights"] if "-snap" in f["kind"]}
     assert by_law["neural-do"] < by_law["do"] < by_law["baseline"]
     outcome = summary({}, {"world-00": {"result": found}})
-    assert outcome["answer"]["prediction_ratio"]["test"] == pytest.approx(ours_m / nominal_m)
+    assert outcome["answer"]["prediction_ratio"]["test"] == pytest.approx(ours / nominal)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any
@@ -99,6 +100,18 @@ def test_predict_ahead_is_that_of_learn_for_flights_held_out(tmp_path):
     assert found == {models.AHEAD: not_none(learned.test).nominal}
 
 
+def test_with_torque_gives_all_models_that_of_ours_and_nothing_else():
+    torque = {"com-offset": {"x": 0.001, "y": -0.002}}
+    ours = replace(model(network=False), effects={**model(network=False).effects, **torque})
+    given = {"nominal": None, models.PAPER: model(), models.OURS: ours}
+    found = models.with_torque(given, VEHICLE)
+    assert found[models.OURS] is ours
+    assert (not_none(found["nominal"]).effects, not_none(found["nominal"]).network) == (torque, None)
+    paper = not_none(found[models.PAPER])
+    assert (paper.effects, paper.network) == (torque, not_none(given[models.PAPER]).network)
+    assert models.with_torque({**given, models.OURS: model()}, VEHICLE)["nominal"] is None
+
+
 def test_split_draws_three_known_flights_for_the_test():
     drawn: Any = [SimpleNamespace(name=f"p{k}", out_of_distribution=False) for k in range(16)]
     drawn += [SimpleNamespace(name=f"o{k}", out_of_distribution=True) for k in range(3)]
@@ -159,6 +172,12 @@ def test_fly_pretzel_flies_every_combination_and_keeps_a_pose_each_tenth_of_a_se
     error = not_none(tracking_error(read_flight(tmp_path / "pretzel-min-snap-baseline-101.mcap")))
     assert (first["error_mean_m"], first["error_max_m"]) == pytest.approx((error.mean_m, error.max_m))
     assert len(first["errors_m"]) == len(first["path_ned_m"]) == 84
+    constant_m = np.linalg.norm(first["constant_ned_m"])
+    assert first["error_mean_m"] <= constant_m + first["varying_mean_m"]
+    assert found["flights"][1]["varying_mean_m"] < first["varying_mean_m"]
+    assert np.linalg.norm(found["flights"][1]["constant_ned_m"]) < 0.2 * constant_m  # the observer takes it
+    legs_m, path_m = (found["plans"]["min-snap"][key] for key in ("legs_length_m", "path_length_m"))
+    assert 0.8 * path_m < legs_m < path_m
     assert found["flights"][1]["error_mean_m"] < 0.6 * first["error_mean_m"]  # by the observer
 
 
