@@ -93,9 +93,8 @@ flights by a controller on the host so. Compare ratios within one horizon. Most 
 {ahead_s:g} s ahead is a torque, not an acceleration: the rate loop balances the offset of the centre of
 mass, and motor commands alone do not. The paper's settings learn an acceleration, ours that torque too.
 *With the same torque in all models*, the constant torque of ours, the models differ in the acceleration
-alone. The paper's L leaves the vertical out, which shows in these rows. The converse, a model learned
-from flights of an MPC, is not measured: `trimtab learn` predicts the flights that it learns from by the
-law on board, and refuses those of a controller on the host.
+alone. The converse, a model learned from flights of an MPC, is not measured: `trimtab learn` predicts the
+flights that it learns from by the law on board, and refuses those of a controller on the host.
 
 """
 
