@@ -12,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.apps.paper.flight import courses, world
-from trimtab.host.apps.paper.flight.controllers import BANDWIDTH
 from trimtab.host.apps.paper.flight.models import PAPER_SETTINGS, SEGMENT_STEPS
 from trimtab.host.apps.paper.flight.pretzel import LAMBDA_R, NODES
 from trimtab.host.apps.paper.paths import Room
 from trimtab.host.apps.paper.text import markdown, wrapped
+from trimtab.host.learn.ahead import AHEAD_S
 
 _HEAD = """# The paper's flight section, compared
 
@@ -69,13 +69,31 @@ The ratio (`prediction_ratio` with `--json`) is that of positions of whole fligh
 is planned with our model and nominal dynamics, within the same waypoints, time and limits, with lambda_r
 {lambda_r:g} per N^2. The paper's cost has no thrust rates; they weigh as much beside the control effort as
 in the planner's defaults. The paper's own waypoints are not printed, so its accelerations belong to another
-course. *Baseline* is the flatness-based law. *DO* adds the disturbance observer at {bandwidth:g} 1/s.
-*Neural DO* adds the feed-forward of our model, and the observer estimates only the remainder. All
+course. *Baseline* is the flatness-based law. *DO* adds the disturbance observer. Both have the settings of
+[the tuning](controller-tuning.md), which used other worlds; the pretzel is one of its courses. *Neural DO* adds the feed-forward of our model, and the observer estimates only the remainder. All
 combinations of a world fly with the same flight indices, so with the same noise, turbulence and battery.
 Intervals are 95 % of bootstraps over worlds, and over flights inside each world.
 
-**Remark 1.** The models are learned from flights of the baseline. DO, the feed-forward alone and Neural DO
-then fly the test's references, and the same models predict those flights.
+The baseline has no integral: a residual that is constant over a flight, such as the thrust that a low battery
+lacks or the push of wind, leaves a constant error that both plans share. The planner's cost does not count it
+([planning](../concepts/planning.md)). The second table of the pretzel splits each flight's error into its
+mean vector, the constant part, and the rest. It also has the lengths of the paths: drag grows with speed, the
+time is fixed, and no path is shorter than the straight lines between the waypoints. Their ratio to the
+minimum-snap path limits the mean speed that a plan can save.
+
+**Remark 1.** The models are learned from flights of the baseline. Other controllers then fly the test's
+references, and the same models predict those flights: DO, the feed-forward alone and Neural DO on board,
+and three [controllers on the host](../concepts/controllers.md): nominal MPC, L1-adaptive MPC, and the MPC
+whose prediction has our model. Two horizons are reported. *Whole flight*: the model predicts the flight
+from its reference, through the law on board. It does not know the controllers on the host, so those
+flights have no such row. *{ahead_s:g} s ahead*: the recorded motor commands drive the model from measured
+states, end to end over the flight; every controller has such a row, and `trimtab learn --hold-out` scores
+flights by a controller on the host so. Compare ratios within one horizon. Most of the nominal error
+{ahead_s:g} s ahead is a torque, not an acceleration: the rate loop balances the offset of the centre of
+mass, and motor commands alone do not. The paper's settings learn an acceleration, ours that torque too.
+*With the same torque in all models*, the constant torque of ours, the models differ in the acceleration
+alone. The converse, a model learned from flights of an MPC, is not measured: `trimtab learn` predicts the
+flights that it learns from by the law on board, and refuses those of a controller on the host.
 
 """
 
@@ -116,7 +134,7 @@ def _method() -> str:
         epochs=PAPER_SETTINGS.epochs,
         steps=NODES,
         lambda_r=LAMBDA_R,
-        bandwidth=BANDWIDTH,
+        ahead_s=AHEAD_S,
     )
     return wrapped(text)
 

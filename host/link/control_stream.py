@@ -37,7 +37,7 @@ SETPOINT_US = 100_000
 """Interval of position setpoints on the way to the first node."""
 APPROACH_MAX_US = 30_000_000
 """Longest time from the first position setpoint to rest at the first node."""
-NEAR_M, SLOW_M_S, ALIGNED_RAD = 0.05, 0.1, 0.1
+NEAR_M, SLOW_M_S, ALIGNED_RAD = 0.25, 0.1, 0.1
 """Bounds of position error, speed and yaw error at rest at the first node."""
 RESTING_US = 300_000
 """Time for which the estimate must be within these bounds."""

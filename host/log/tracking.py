@@ -70,8 +70,8 @@ def reference_at(reference: Reference, t_us: Annotated[Times, "times"]) -> Annot
     return ReferencePath(reference).at(t_us)
 
 
-def tracking_distances(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[Floats, "poses"] | None:
-    """Return the distances, m, of which `tracking_error` gives the figures; None where it has none."""
+def tracking_errors_ned(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[Floats, "poses 3"] | None:
+    """Return pose minus reference, m, whose norm `tracking_error` sums up; None where it has no figures."""
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
     start_us, end_us = flight.tracking
@@ -79,8 +79,7 @@ def tracking_distances(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[
     keep = (t_us >= start_us) & (t_us <= end_us)
     if not keep.any():
         return None
-    p_ref = reference_at(flight.reference, t_us[keep] - start_us)[:, :3]
-    return np.linalg.norm(flight.mocap.p[keep] - p_ref, axis=1)
+    return flight.mocap.p[keep] - reference_at(flight.reference, t_us[keep] - start_us)[:, :3]
 
 
 def tracking_error(flight: Flight, *, pose_age_s: float = 0.0) -> TrackingError | None:
@@ -88,9 +87,10 @@ def tracking_error(flight: Flight, *, pose_age_s: float = 0.0) -> TrackingError 
 
     pose_age_s: by how much poses are older than their stamps.
     """
-    distances = tracking_distances(flight, pose_age_s=pose_age_s)
-    if distances is None:
+    errors = tracking_errors_ned(flight, pose_age_s=pose_age_s)
+    if errors is None:
         return None
+    distances = np.linalg.norm(errors, axis=1)
     return TrackingError(
         mean_m=float(distances.mean()),
         rmse_m=float(np.sqrt((distances**2).mean())),

@@ -7,7 +7,7 @@ from typing import Any
 
 from trimtab.host.apps.paper.flight.controllers import TABLE_III
 from trimtab.host.apps.paper.flight.pretzel import KINDS
-from trimtab.host.apps.paper.flight.tables import CONTROLLERS, METHODS, SETS
+from trimtab.host.apps.paper.flight.tables import CONTROLLERS, METHODS, SETS, TRANSFER
 from trimtab.host.report import flight_figures, learning_figures
 from trimtab.host.report.figures import Figure
 from trimtab.host.report.tables import tables_page
@@ -23,13 +23,19 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
             "Whole flights predicted from their references: position error over that of the nominal model. "
             "One point for each world; bars are medians.",
         ),
-        "controllers": learning_figures.over_nominal(
-            {CONTROLLERS[law]: _ratios(found) for law, found in answer["controllers"].items()},
-            METHODS,
-            "Remark 1: models learned from flights of the baseline predict flights of other controllers. "
-            "Position error over that of the nominal model; one point for each world; bars are medians.",
-        ),
     }
+    for horizon, title in TRANSFER.items():
+        drawn[f"controllers-{horizon}"] = learning_figures.over_nominal(
+            {
+                CONTROLLERS[law]: _ratios(of[horizon])
+                for law, of in answer["controllers"].items()
+                if horizon in of
+            },
+            METHODS,
+            "Remark 1: models learned from flights of the baseline predict flights of other controllers, "
+            f"{title}. Position error over that of the nominal model; one point for each world; bars are "
+            "medians.",
+        )
     errors = {CONTROLLERS[law]: {kind: _errors_mm(worlds, kind, law) for kind in KINDS} for law in TABLE_III}
     if any(values for each in errors.values() for values in each.values()):
         drawn["pretzel-errors"] = flight_figures.boxes(

@@ -1,14 +1,15 @@
-"""The two ways of learning in table II, and the prediction errors of a model."""
+"""The two ways of learning in table II, and the prediction errors of a model over three horizons."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from trimtab.host.effects import Effect
 from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, Settings, learn
+from trimtab.host.learn.ahead import ahead
 from trimtab.host.learn.evaluate import Errors, model_parts, whole_flights
 from trimtab.host.learn.learn import region
 from trimtab.host.learn.train import train
@@ -19,8 +20,19 @@ from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import cut
 from trimtab.host.models.states import States, flight_states
+from trimtab.host.vehicle import Vehicle
 
 PAPER, OURS = "paper", "ours"
+FLIGHTS, SEGMENTS, AHEAD = "flights", "segments", "ahead"
+"""Horizons: whole flights and segments of 25 nodes, driven by the reference; AHEAD_S from motor commands."""
+AHEAD_SAME_TORQUE = "ahead-same-torque"
+"""AHEAD by models that all have the constant torque of ours.
+
+The rate loop balances that torque. Predictions from motor commands have no loop: without the torque they
+tilt away, which hides how well a model knows the acceleration.
+"""
+_TORQUE = "com-offset"
+"""Effect of the constant torque, one of DEFAULT_FORMS."""
 SEGMENT_STEPS = 24
 """Steps of 20 ms between the 25 nodes of a segment (paper VI-B.2)."""
 PAPER_WEIGHT = np.array([1.0, 1.0, 0.0, 0.1, 0.1, 0.0, 0.1, 0.1, 0.0, 0.0, 0.0, 0.0])
@@ -36,18 +48,6 @@ PAPER_SETTINGS = Settings(
     free_start=False,
 )
 """As in the paper (VI-B.2): starts as measured, headings as flown, no penalty and no early stop."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Prediction:
-    """Errors of a model: of whole flights driven by the reference, and of segments of 25 nodes."""
-
-    flights: Errors
-    segments: Errors
-
-    def to_json(self) -> dict[str, dict[str, float | None]]:
-        """Return the errors; None where a roll-out diverged."""
-        return {"flights": self.flights.to_json(), "segments": self.segments.to_json()}
 
 
 def learn_as_paper(flights: Sequence[Flight], seed: int, *, epochs: int = PAPER_SETTINGS.epochs) -> Model:
@@ -95,8 +95,26 @@ def learn_as_ours(flights: Sequence[Flight], effects: Mapping[str, Effect], seed
     return found.model, found.selected.what
 
 
-def predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect]) -> Prediction:
-    """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone."""
+def with_torque(models: Mapping[str, Model | None], vehicle: Vehicle) -> dict[str, Model | None]:
+    """Return the models with the constant torque of ours; as they are if ours has none."""
+    ours = models[OURS]
+    if ours is None or _TORQUE not in ours.effects:
+        return dict(models)
+    alone = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name)
+    torque = {_TORQUE: ours.effects[_TORQUE]}
+    return {
+        name: ours if name == OURS else replace(model or alone, effects=torque)
+        for name, model in models.items()
+    }
+
+
+def predict(
+    flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect], *, horizons: Sequence[str]
+) -> dict[str, Errors]:
+    """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone.
+
+    horizons: one or more of FLIGHTS, SEGMENTS and AHEAD; flights by a controller on the host have AHEAD only.
+    """
     states = flight_states(flights)
     parts = model_parts(model, effects)
     phi = Phi(
@@ -105,10 +123,12 @@ def predict(flights: Sequence[Flight], model: Model | None, effects: Mapping[str
         parameters=states[0].parameters,
     )
     theta, network = phi.theta(parts), None if model is None else model.network
-    return Prediction(
-        flights=whole_flights(phi, theta, states, network),
-        segments=_segments(phi, theta, states, network),
-    )
+    errors_by = {
+        FLIGHTS: lambda: whole_flights(phi, theta, states, network),
+        SEGMENTS: lambda: _segments(phi, theta, states, network),
+        AHEAD: lambda: ahead(phi, theta, states, flights, network),
+    }
+    return {horizon: errors_by[horizon]() for horizon in horizons}
 
 
 def _segments(phi: Phi, theta: np.ndarray, states: Sequence[States], network: Network | None) -> Errors:

@@ -13,7 +13,7 @@ from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.paper.flight.controllers import Controller
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, UsageError
 from trimtab.host.log import Flight, read_flight
-from trimtab.host.log.tracking import reference_at, tracking_distances
+from trimtab.host.log.tracking import reference_at, tracking_errors_ned
 from trimtab.host.plan import Plan, ResidualModel, Settings, Weights, plan
 from trimtab.host.route import load_route
 from trimtab.host.vehicle import Vehicle
@@ -65,7 +65,7 @@ def fly_pretzel(
         planned = plans(field.vehicle, model)
     except (Refused, SolverError, UsageError) as error:
         return {"plans": {}, "flights": [], "failed": str(error)}
-    rows = []
+    rows, legs_length_m = [], load_route(ROUTE, vehicle=field.vehicle).length_m
     for kind, each in planned.items():
         for controller in controllers:
             for index in flights:
@@ -73,14 +73,17 @@ def fly_pretzel(
                 row = {"kind": kind, "controller": controller.name, "flight": index}
                 rows.append(row | _fly(field, each, controller, index, log))
     return {
-        "plans": {kind: _figures(each) for kind, each in planned.items()},
+        "plans": {kind: _figures(each, legs_length_m) for kind, each in planned.items()},
         "flights": rows,
         "failed": None,
     }
 
 
 def _fly(field: Airfield, planned: Plan, controller: Controller, index: int, log: Path) -> dict[str, Any]:
-    """Fly a plan; return its position errors, m, and every tenth second's position and error; or why not."""
+    """Fly a plan; return its position errors, m, and every tenth second's position and error; or why not.
+
+    The constant part of the errors is their mean vector.
+    """
     try:
         result = field.fly(
             planned.reference,
@@ -93,11 +96,14 @@ def _fly(field: Airfield, planned: Plan, controller: Controller, index: int, log
     except FlightFailed as error:
         return {"failed": str(error)}
     flight = read_flight(log)
-    distances = tracking_distances(flight)
-    assert distances is not None  # a reference flown to its end has a tracking phase
+    errors = tracking_errors_ned(flight)
+    assert errors is not None  # a reference flown to its end has a tracking phase
+    distances, constant_ned_m = np.linalg.norm(errors, axis=1), errors.mean(axis=0)
     return {
         "error_mean_m": float(distances.mean()),
         "error_max_m": float(distances.max()),
+        "constant_ned_m": constant_ned_m.tolist(),
+        "varying_mean_m": float(np.linalg.norm(errors - constant_ned_m, axis=1).mean()),
         "clipped_share": result.clipped_share,
         **_kept(flight, distances),
     }
@@ -115,8 +121,11 @@ def _kept(flight: Flight, distances: np.ndarray) -> dict[str, list[Any]]:
     return {"errors_m": distances[chosen].tolist(), "path_ned_m": path.tolist()}
 
 
-def _figures(planned: Plan) -> dict[str, Any]:
-    """Return the figures of a plan: acceleration, jerk, and a point of its path each tenth of a second."""
+def _figures(planned: Plan, legs_length_m: float) -> dict[str, Any]:
+    """Return the figures of a plan: acceleration, jerk, and a point of its path each tenth of a second.
+
+    legs_length_m: length of the straight lines between the waypoints, which no path undercuts.
+    """
     reference = planned.reference
     flat = reference_at(reference, np.arange(0, reference.duration_us, _FLAT_STEP_US))
     acceleration, jerk = (np.linalg.norm(flat[:, rows], axis=1) for rows in (slice(6, 9), slice(9, 12)))
@@ -126,6 +135,7 @@ def _figures(planned: Plan) -> dict[str, Any]:
         "lambda_r": planned.lambda_r,
         "residual_rms_m_s2": planned.residual_rms_m_s2,
         "path_length_m": planned.path_length_m,
+        "legs_length_m": legs_length_m,
         "solve_s": planned.solve_s,
         "acceleration_max_m_s2": float(acceleration.max()),
         "acceleration_mean_m_s2": float(acceleration.mean()),

@@ -9,7 +9,7 @@ import numpy as np
 
 from trimtab.host.apps.paper.flight import published, tables
 from trimtab.host.apps.paper.flight.controllers import TABLE_III
-from trimtab.host.apps.paper.flight.models import OURS, PAPER
+from trimtab.host.apps.paper.flight.models import FLIGHTS, OURS, PAPER, SEGMENTS
 from trimtab.host.apps.paper.flight.pretzel import KINDS, MIN_RESIDUAL, MIN_SNAP
 from trimtab.host.apps.paper.flight.world import NOMINAL, SETS
 from trimtab.host.apps.paper.text import text
@@ -17,7 +17,6 @@ from trimtab.host.apps.paper.text import text
 Row = dict[str, Any]
 World = Mapping[str, Any]
 
-HORIZONS = ("flights", "segments")
 _SAMPLES = 10_000
 
 
@@ -27,11 +26,14 @@ def summary(answer: Mapping[str, Any], pieces: Mapping[str, Mapping[str, Any]]) 
     figures: Row = {
         "statistics": _statistics(worlds),
         "prediction": {
-            name: {horizon: _prediction([w["errors"][name] for w in worlds], horizon) for horizon in HORIZONS}
+            name: {
+                horizon: _prediction([w["errors"][name] for w in worlds], horizon)
+                for horizon in (FLIGHTS, SEGMENTS)
+            }
             for name in SETS
         },
         "controllers": {
-            law: _prediction([w["controllers"][law] for w in worlds if law in w["controllers"]], "flights")
+            law: _transfer([w["controllers"][law] for w in worlds if law in w["controllers"]])
             for law in dict.fromkeys(law for w in worlds for law in w["controllers"])
         },
         "pretzel": _pretzel([w["pretzel"] for w in worlds]),
@@ -142,6 +144,11 @@ def _statistics(worlds: Sequence[World]) -> Row:
     }
 
 
+def _transfer(errors: Sequence[Mapping[str, Any]]) -> Row:
+    """Return errors and ratios on flights of one controller over worlds, by horizon."""
+    return {horizon: _prediction(errors, horizon) for horizon in errors[0][NOMINAL]}
+
+
 def _prediction(errors: Sequence[Mapping[str, Any]], horizon: str) -> Row:
     """Return errors and ratios to the nominal model over worlds, by model and quantity."""
     of = {
@@ -178,7 +185,7 @@ def _spread(values: Sequence[float | None]) -> Row:
 
 def _pretzel(pretzels: Sequence[Mapping[str, Any]]) -> Row:
     """Return figures of the plans, means over worlds, and of the flights by controller and kind."""
-    keys = (*published.PLANS, "residual_rms_m_s2", "path_length_m")
+    keys = (*published.PLANS, "residual_rms_m_s2", "path_length_m", "legs_length_m")
     return {
         "plans": {
             kind: {
@@ -199,26 +206,38 @@ def _tracking(pretzels: Sequence[Mapping[str, Any]], law: str) -> Row:
         }
         for p in pretzels
     ]
-    row: Row = {kind: _errors([list(w[kind].values()) for w in by_world]) for kind in KINDS}
+    return {
+        **{kind: _errors([list(w[kind].values()) for w in by_world]) for kind in KINDS},
+        "ratio": _ratio(by_world, "error_mean_m"),
+        "varying_ratio": _ratio(by_world, "varying_mean_m"),
+    }
+
+
+def _ratio(by_world: Sequence[Mapping[str, Mapping[int, Any]]], key: str) -> Row:
+    """Return the ratio of the kinds of an error, flight by flight; failed flights are left out."""
     ratios = [
         [
-            f["error_mean_m"] / w[MIN_SNAP][index]["error_mean_m"]
+            f[key] / w[MIN_SNAP][index][key]
             for index, f in w[MIN_RESIDUAL].items()
             if "failed" not in f and "failed" not in w[MIN_SNAP][index]
         ]
         for w in by_world
     ]
-    row["ratio"] = {"mean": _group_mean(ratios), "ci95": cluster_interval(ratios)}
-    return row
+    return {"mean": _group_mean(ratios), "ci95": cluster_interval(ratios)}
 
 
 def _errors(worlds: Sequence[Sequence[Mapping[str, Any]]]) -> Row:
     """Return the errors of flights in worlds; failed flights are left out."""
     flown = [[f for f in flights if "failed" not in f] for flights in worlds]
     means = [[f["error_mean_m"] for f in flights] for flights in flown]
+    varying = [[f["varying_mean_m"] for f in flights] for flights in flown]
+    constant = [[float(np.linalg.norm(f["constant_ned_m"])) for f in flights] for flights in flown]
     return {
         "error_mean_m": _group_mean(means),
         "ci95_m": cluster_interval(means),
+        "constant_m": _group_mean(constant),
+        "varying_mean_m": _group_mean(varying),
+        "varying_ci95_m": cluster_interval(varying),
         "error_max_m": max((f["error_max_m"] for flights in flown for f in flights), default=None),
         "flights": sum(map(len, flown)),
     }

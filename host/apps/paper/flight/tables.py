@@ -6,9 +6,18 @@ from collections.abc import Mapping
 from typing import Any
 
 from trimtab.host.apps.paper.flight import published
-from trimtab.host.apps.paper.flight.controllers import BASELINE, NEURAL, NEURAL_OBSERVER, OBSERVER
-from trimtab.host.apps.paper.flight.models import OURS, PAPER
+from trimtab.host.apps.paper.flight.controllers import (
+    BASELINE,
+    MPC,
+    MPC_L1,
+    MPC_NEURAL,
+    NEURAL,
+    NEURAL_OBSERVER,
+    OBSERVER,
+)
+from trimtab.host.apps.paper.flight.models import AHEAD, AHEAD_SAME_TORQUE, FLIGHTS, OURS, PAPER, SEGMENTS
 from trimtab.host.apps.paper.flight.pretzel import KINDS, MIN_RESIDUAL, MIN_SNAP
+from trimtab.host.learn.ahead import AHEAD_S
 
 Cells = dict[str, str]
 
@@ -19,7 +28,16 @@ CONTROLLERS = {
     OBSERVER: "DO",
     NEURAL: "feed-forward",
     NEURAL_OBSERVER: "Neural DO",
+    MPC: "MPC",
+    MPC_L1: "L1-MPC",
+    MPC_NEURAL: "neural MPC",
 }
+TRANSFER = {
+    FLIGHTS: "whole flight, from its reference",
+    AHEAD: f"{AHEAD_S:g} s ahead, from its motor commands",
+    AHEAD_SAME_TORQUE: f"{AHEAD_S:g} s ahead, with the same torque in all models",
+}
+"""Horizons of remark 1."""
 QUANTITIES = {"position_rmse_m": "position, m", "velocity_rmse_m_s": "velocity, m/s"}
 _STATISTICS = {
     "speed_m_s": "speed, m/s",
@@ -40,12 +58,13 @@ def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
         "Worse than in the paper": _worse(figures),
         "Table I: statistics of the references": _statistics(figures["statistics"]),
         "Table II: prediction error of whole flights, mean over worlds": _prediction(
-            figures["prediction"], "flights"
+            figures["prediction"], FLIGHTS
         ),
         "Table II: prediction error of segments of 25 nodes, mean over worlds": _prediction(
-            figures["prediction"], "segments"
+            figures["prediction"], SEGMENTS
         ),
         "Table III: the pretzel": _pretzel(figures["pretzel"]),
+        "The pretzel: path lengths, and errors without their constant part": _parts(figures["pretzel"]),
         "Remark 1: learned under the baseline, predicting flights of other controllers": _controllers(
             figures["controllers"]
         ),
@@ -134,11 +153,54 @@ def _pretzel(pretzel: Mapping[str, Any]) -> list[Cells]:
     return rows
 
 
+def _parts(pretzel: Mapping[str, Any]) -> list[Cells]:
+    """Return lengths of paths, and the constant and the varying part of the errors by controller."""
+    plans = pretzel["plans"]
+    lengths = {kind: plans[kind]["path_length_m"] for kind in KINDS}
+    legs_m = {kind: plans[kind]["legs_length_m"] for kind in KINDS}
+    rows = [
+        _kinds("length of the path, m", lengths, lengths),
+        _kinds(
+            "straight lines between its waypoints, m", legs_m, {**lengths, MIN_RESIDUAL: legs_m[MIN_RESIDUAL]}
+        ),
+    ]
+    for law in published.TRACKING_M:
+        found, label = pretzel["controllers"][law], CONTROLLERS[law]
+        constant = {kind: found[kind]["constant_m"] for kind in KINDS}
+        rows.append(_kinds(f"constant part of the error, {label}, m", constant, constant))
+        rows.append(
+            {
+                "figure": f"mean of the varying part, {label}, m",
+                **{
+                    kind: _interval(found[kind]["varying_mean_m"], found[kind]["varying_ci95_m"], ".4f")
+                    for kind in KINDS
+                },
+                "ratio": _interval(found["varying_ratio"]["mean"], found["varying_ratio"]["ci95"], ".2f"),
+            }
+        )
+    return rows
+
+
+def _kinds(figure: str, values: Mapping[str, float | None], over: Mapping[str, float | None]) -> Cells:
+    """Return a row of a value by kind, and the ratio of the kinds in `over`."""
+    snap, residual = over[MIN_SNAP], over[MIN_RESIDUAL]
+    ratio = "" if snap is None or residual is None else f"{residual / snap:.2f}"
+    return {"figure": figure, **{kind: _number(values[kind]) for kind in KINDS}, "ratio": ratio}
+
+
 def _controllers(controllers: Mapping[str, Any]) -> list[Cells]:
+    """Return a row for each controller, of whole flights first; ratios compare within a horizon."""
     rows = []
-    for law, found in controllers.items():
+    chosen = [
+        (horizon, law, of[horizon])
+        for horizon in TRANSFER
+        for law, of in controllers.items()
+        if horizon in of
+    ]
+    for horizon, law, found in chosen:
         row = {
             "flown by": CONTROLLERS[law],
+            "predicted": TRANSFER[horizon],
             "nominal, m": _spread(found["errors"]["nominal"]["position_rmse_m"], "mean", ".3f"),
         }
         for method, title in METHODS.items():

@@ -19,9 +19,21 @@ from trimtab.host.apps.paper.flight.controllers import (
     BASELINE,
     TABLE_III,
     Controller,
-    controllers,
+    on_board,
+    on_host,
 )
-from trimtab.host.apps.paper.flight.models import OURS, PAPER, learn_as_ours, learn_as_paper, predict
+from trimtab.host.apps.paper.flight.models import (
+    AHEAD,
+    AHEAD_SAME_TORQUE,
+    FLIGHTS,
+    OURS,
+    PAPER,
+    SEGMENTS,
+    learn_as_ours,
+    learn_as_paper,
+    predict,
+    with_torque,
+)
 from trimtab.host.apps.paper.flight.pretzel import fly_pretzel
 from trimtab.host.apps.paper.paths import Course, statistics
 from trimtab.host.base.errors import FlightFailed
@@ -62,6 +74,7 @@ class _Site:
                     log,
                     feedforward=controller.feedforward,
                     parameters=controller.parameters,
+                    control=controller.control,
                     model_id=controller.model_id,
                 )
                 flown[course.name] = read_flight(log)
@@ -88,7 +101,7 @@ def fly_world(
     )
     site, effects = _Site(field=field, folder=folder), load_effects()
     courses = vi_b.draw_courses(vehicle, vi_b.draw(seed, "courses", world))
-    flown, failed = site.fly(courses, 1, Controller(name=BASELINE))
+    flown, failed = site.fly(courses, 1, on_board(vehicle)[0])
     sets = split(courses, flown, np.random.default_rng(vi_b.draw(seed, "split", world)))
     weights_seed = vi_b.draw(seed, "weights", world)
     ours, selected = learn_as_ours(sets["train"], effects, weights_seed)
@@ -100,8 +113,10 @@ def fly_world(
     made = correction(ours, vehicle, effects)
     if made.excess is not None:
         failed.append({"flight": "feed-forward", "why": f"{made.excess.quantity} beyond its range"})
-    laws = controllers(made.feedforward if made.excess is None else None)
-    by_controller, lost = _transfer(site, courses, sets["test"], flown, laws, models, effects)
+    laws = on_board(vehicle, made.feedforward if made.excess is None else None)
+    others = [law for law in laws if law.name != BASELINE] + on_host(vehicle, ours, effects)
+    tested = [c for c in courses if flown.get(c.name) in sets["test"]]
+    by_controller, lost = _transfer(site, tested, others, models, effects)
     return {
         "world": world,
         "statistics": {
@@ -111,8 +126,13 @@ def fly_world(
         "flights": {name: len(flights) for name, flights in sets.items()},
         "selected": selected,
         "network": ours.network is not None,
-        "errors": {name: _errors(flights, models, effects) for name, flights in sets.items()},
-        "controllers": by_controller,
+        "errors": {
+            name: _errors(flights, models, effects, (FLIGHTS, SEGMENTS)) for name, flights in sets.items()
+        },
+        "controllers": {
+            BASELINE: _of_controller(sets["test"], models, effects),
+            **by_controller,
+        },
         "pretzel": fly_pretzel(
             field,
             ResidualModel.of(ours, effects),
@@ -142,32 +162,50 @@ def split(
 
 
 def _errors(
-    flights: Sequence[Flight], models: Mapping[str, Model | None], effects: Mapping[str, Effect]
+    flights: Sequence[Flight],
+    models: Mapping[str, Model | None],
+    effects: Mapping[str, Effect],
+    horizons: Sequence[str],
 ) -> dict[str, Any]:
-    """Return the prediction errors of each model on the same flights."""
-    return {name: predict(flights, model, effects).to_json() for name, model in models.items()}
+    """Return the prediction errors of each model on the same flights, by horizon; None where it diverged."""
+    return {
+        name: {
+            horizon: errors.to_json()
+            for horizon, errors in predict(flights, model, effects, horizons=horizons).items()
+        }
+        for name, model in models.items()
+    }
 
 
 def _transfer(
     site: _Site,
     courses: Sequence[Course],
-    test: Sequence[Flight],
-    flown: Mapping[str, Flight],
-    laws: Sequence[Controller],
+    others: Sequence[Controller],
     models: Mapping[str, Model | None],
     effects: Mapping[str, Effect],
 ) -> tuple[dict[str, Any], list[dict[str, str]]]:
-    """Return errors of remark 1 by controller on the test's references, and the flights that failed.
+    """Return errors of remark 1 on flights of the courses by other controllers, and the flights that failed.
 
-    The baseline's are those of the test's own flights. Of every controller, the models stay as learned from
-    flights of the baseline.
+    The models stay as learned from flights of the baseline.
     """
-    tested = [c for c in courses if flown.get(c.name) in test]
-    by_controller: dict[str, Any] = {BASELINE: _errors(test, models, effects)}
+    by_controller: dict[str, Any] = {}
     failed: list[dict[str, str]] = []
-    for number, law in enumerate(law for law in laws if law.name != BASELINE):
-        flights, lost = site.fly(tested, _TRANSFER_FIRST + number * TEST_FLIGHTS, law)
+    for number, law in enumerate(others):
+        flights, lost = site.fly(courses, _TRANSFER_FIRST + number * TEST_FLIGHTS, law)
         failed += lost
         if flights:
-            by_controller[law.name] = _errors(list(flights.values()), models, effects)
+            by_controller[law.name] = _of_controller(list(flights.values()), models, effects)
     return by_controller, failed
+
+
+def _of_controller(
+    flights: Sequence[Flight], models: Mapping[str, Model | None], effects: Mapping[str, Effect]
+) -> dict[str, Any]:
+    """Return the errors of remark 1 on flights of one controller, by model and horizon.
+
+    The models know the law on board: flights by a controller on the host are not predicted as whole flights.
+    """
+    on_board = all(flight.host_control is None for flight in flights)
+    errors = _errors(flights, models, effects, (FLIGHTS, AHEAD) if on_board else (AHEAD,))
+    same = _errors(flights, with_torque(models, flights[0].vehicle), effects, (AHEAD,))
+    return {name: {**each, AHEAD_SAME_TORQUE: same[name][AHEAD]} for name, each in errors.items()}

@@ -22,7 +22,14 @@ def test_study_resumes_from_pieces_and_writes_page_pictures_and_json(tmp_path, c
     assert answer["tables"]["Table III: the pretzel"][4]["paper, min-residual"] == "0.098"
     page = (folder / "report.html").read_text()
     assert page.index("Worse than in the paper") < page.index("Table I:")
-    for name in ("prediction", "controllers", "pretzel-errors", "pretzel"):
+    for name in (
+        "prediction",
+        "controllers-flights",
+        "controllers-ahead",
+        "controllers-ahead-same-torque",
+        "pretzel-errors",
+        "pretzel",
+    ):
         assert (folder / f"{name}.png").stat().st_size > 1000
     record = json.loads((folder / "report.json").read_text())
     assert record["provenance"]["seed"] == 5

@@ -65,6 +65,29 @@ def test_summary_first_table_is_what_is_worse():
     assert (rows[4]["paper, min-snap"], rows[4]["min-residual"]) == ("0.113", "0.0800 (0.0800-0.0800)")
 
 
+def test_summary_splits_the_pretzels_errors_into_constant_and_varying_parts():
+    outcome = summary({}, pieces(made_up_world(error_m=0.1)))
+    found = outcome["answer"]["pretzel"]["controllers"]["baseline"]
+    assert found["min-snap"]["constant_m"] == pytest.approx(0.05)  # of a mean vector (0, 3, 4) cm
+    assert found["min-residual"]["varying_mean_m"] == pytest.approx(0.03)
+    # 0.03 m over 0.05 m without the constant part, 0.8 with it.
+    assert found["varying_ratio"]["mean"] == pytest.approx(0.6)
+    rows = outcome["tables"]["The pretzel: path lengths, and errors without their constant part"]
+    assert [row["ratio"] for row in rows[:4]] == ["1.00", "0.90", "1.00", "0.60 (0.60-0.60)"]
+
+
+def test_summary_remark_one_has_no_whole_flights_by_a_controller_on_the_host():
+    title = "Remark 1: learned under the baseline, predicting flights of other controllers"
+    outcome = summary({}, pieces(made_up_world(ratio=0.5)))
+    assert list(outcome["answer"]["controllers"]["mpc"]) == ["ahead", "ahead-same-torque"]
+    rows = outcome["tables"][title]
+    by_horizon = {
+        row["predicted"]: [r["flown by"] for r in rows if r["predicted"] == row["predicted"]] for row in rows
+    }
+    assert [len(laws) for laws in by_horizon.values()] == [4, 7, 7]
+    assert {row["ours, ratio"] for row in rows} == {"0.25"}
+
+
 def test_summary_flight_that_failed_is_named_and_left_out():
     world = made_up_world()
     first = world["pretzel"]["flights"][0]
