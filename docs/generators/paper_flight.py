@@ -70,8 +70,9 @@ is planned with our model and nominal dynamics, within the same waypoints, time 
 {lambda_r:g} per N^2. The paper's cost has no thrust rates; they weigh as much beside the control effort as
 in the planner's defaults. The paper's own waypoints are not printed, so its accelerations belong to another
 course. *Baseline* is the flatness-based law. *DO* adds the disturbance observer. Both have the settings of
-[the tuning](controller-tuning.md), which used other worlds; the pretzel is one of its courses. *Neural DO* adds the feed-forward of our model, and the observer estimates only the remainder. All
-combinations of a world fly with the same flight indices, so with the same noise, turbulence and battery.
+[the tuning](controller-tuning.md), which used other worlds; the pretzel is one of its courses. *Neural DO*
+adds the feed-forward of our model, and the observer estimates only the remainder. All combinations of a
+world fly with the same flight indices, so with the same noise, turbulence and battery.
 Intervals are 95 % of bootstraps over worlds, and over flights inside each world.
 
 The baseline has no integral: a residual that is constant over a flight, such as the thrust that a low battery
