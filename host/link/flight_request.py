@@ -66,7 +66,8 @@ class FlightRequest:
             if blob is not None and blob.vehicle_id != self.vehicle.id:
                 raise UsageError(
                     f"the {name} {blob.id} was made for vehicle {blob.vehicle_id}, not for "
-                    f"{self.vehicle.name} ({self.vehicle.id}); plan it again or give the right --vehicle"
+                    f"{self.vehicle.name} ({self.vehicle.id}); make it for this vehicle or give the right "
+                    "--vehicle"
                 )
 
 

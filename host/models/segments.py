@@ -27,7 +27,7 @@ class Segments:
     measured: Annotated[np.ndarray, "segments nodes 12"]
     sigma: Annotated[np.ndarray, "segments 12"]
     drive: Annotated[np.ndarray, "segments stages rows"]
-    constants: Annotated[np.ndarray, "segments 16"]
+    constants: Annotated[np.ndarray, "segments 15"]
     flight: Annotated[np.ndarray, "segments"]
     vectors: tuple[int, ...] = (0, 3)
 

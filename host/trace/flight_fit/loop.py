@@ -44,7 +44,7 @@ class _SettingGroup:
     phi: Phi
     fine: int
     x0: Annotated[np.ndarray, "states flights"]
-    drive: Annotated[np.ndarray, "stages 22 flights"]
+    drive: Annotated[np.ndarray, "stages 23 flights"]
     constants: Annotated[np.ndarray, "15 flights"]
 
 
