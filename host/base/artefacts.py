@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import errno
 import hashlib
+import json
 import os
 import subprocess
 import sys
@@ -112,6 +113,31 @@ def write_atomic(path: str | Path, content: bytes | str, force: bool = False) ->
     with open_atomic(path, force) as file:
         file.write(content.encode() if isinstance(content, str) else content)
     return Path(path)
+
+
+def record_path(path: Path) -> Path:
+    """Return the file beside an artefact that holds its record: NAME.json."""
+    return path.with_name(path.name + ".json")
+
+
+def check_recorded(path: str | Path, *, suffix: str, what: str, force: bool = False) -> Path:
+    """Return the path, if an artefact called `what` may be written there with its record.
+
+    Raises UsageError for another suffix and like `check_output`. Call it before the work starts.
+    """
+    target = Path(path)
+    if target.suffix != suffix:
+        raise UsageError(f"{path}: a {what}'s name ends in {suffix}")
+    check_output(target, force)
+    check_output(record_path(target), force)
+    return target
+
+
+def write_recorded(path: Path, content: bytes, record: Mapping[str, Any], force: bool = False) -> Path:
+    """Write an artefact and its record, each whole or not at all, the artefact last. Raises UsageError."""
+    text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
+    write_atomic(record_path(path), text, force)
+    return write_atomic(path, content, force)
 
 
 def version() -> str:

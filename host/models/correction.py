@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -13,7 +12,6 @@ from trimtab.firmware_model.law.feedforward import gain_at_voltage
 from trimtab.firmware_model.law.feedforward_range import Excess, out_of_range
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.base import artefacts
-from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, compose_feedforward
 from trimtab.host.effects.feedforward import Contributions, neutral_contributions
 from trimtab.host.models.model import Model
@@ -94,7 +92,7 @@ def correction(model: Model, vehicle: Vehicle, effects: Mapping[str, Effect]) ->
         law_block(feedforward),
         feedforward.weights,
         feedforward.layers,
-        body_frame=feedforward.frame == "body",
+        body_frame=feedforward.body_frame,
     )
     return Correction(feedforward=feedforward, corrected=corrected, uncorrected=uncorrected, excess=excess)
 
@@ -136,12 +134,7 @@ def _on_board(region: Region, vehicle: Vehicle, numbers: Contributions) -> Train
 
 def check_name(path: Path | str, force: bool = False) -> Path:
     """Return the path, if a feed-forward may be written there. Raises UsageError."""
-    path = Path(path)
-    if path.suffix != SUFFIX:
-        raise UsageError(f"{path}: a feed-forward's name ends in {SUFFIX}")
-    artefacts.check_output(path, force)
-    artefacts.check_output(_beside(path), force)
-    return path
+    return artefacts.check_recorded(path, suffix=SUFFIX, what="feed-forward", force=force)
 
 
 def write_correction(
@@ -164,10 +157,4 @@ def write_correction(
         "provenance": dict(provenance),
         **contents.to_json(),
     }
-    text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    artefacts.write_atomic(_beside(path), text, force)
-    return artefacts.write_atomic(path, feedforward.to_bytes(), force)
-
-
-def _beside(path: Path) -> Path:
-    return path.with_name(path.name + ".json")
+    return artefacts.write_recorded(path, feedforward.to_bytes(), record, force)

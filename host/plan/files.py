@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from trimtab.host.base import artefacts
-from trimtab.host.base.errors import UsageError
 from trimtab.host.plan.result import Plan
 
 SUFFIX = ".ref"
@@ -16,12 +14,7 @@ SUFFIX = ".ref"
 
 def check_name(path: Path | str, force: bool = False) -> Path:
     """Return the path, if a plan may be written there. Raises UsageError; call it before planning."""
-    path = Path(path)
-    if path.suffix != SUFFIX:
-        raise UsageError(f"{path}: a reference's name ends in {SUFFIX}")
-    artefacts.check_output(path, force)
-    artefacts.check_output(_beside(path), force)
-    return path
+    return artefacts.check_recorded(path, suffix=SUFFIX, what="reference", force=force)
 
 
 def write_plan(
@@ -40,9 +33,7 @@ def write_plan(
         "provenance": dict(provenance or {}),
         "plan": {name: value for name, value in figures(plan).items() if name != "solve_s"},
     }
-    text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    artefacts.write_atomic(_beside(path), text, force)
-    return artefacts.write_atomic(path, plan.reference.to_bytes(), force)
+    return artefacts.write_recorded(path, plan.reference.to_bytes(), record, force)
 
 
 def figures(plan: Plan) -> dict[str, Any]:
@@ -66,7 +57,3 @@ def figures(plan: Plan) -> dict[str, Any]:
         "iterations": plan.iterations,
         "solve_s": plan.solve_s,
     }
-
-
-def _beside(path: Path) -> Path:
-    return path.with_name(path.name + ".json")
