@@ -205,6 +205,16 @@ class FeedForward:
         )
 
     @property
+    def body_frame(self) -> bool:
+        """Whether the network is in the body frame."""
+        return self.frame == "body"
+
+    @property
+    def feeds_jerk(self) -> bool:
+        """Whether the derivative of the network is fed forward too."""
+        return self.version > 1
+
+    @property
     def id(self) -> str:
         """First 12 hex digits of the SHA-256 of the blob's bytes."""
         return blob_id(self.to_bytes())

@@ -52,9 +52,7 @@ class FeedForwardInput:
         """Apply this feed-forward."""
         self.clear()
         self._blob = blob
-        if blob.block is not None:
-            self._fill(self._block, blob.block)
-        self._fill_region()
+        self._fill(self._block, law.full_block(blob.block, blob.region))
 
     def hold(self, accel_ned: Sequence[float]) -> None:
         """Replace the network's output by this residual acceleration (m/s^2, NED) until `resume`; unfaded."""
@@ -84,12 +82,16 @@ class FeedForwardInput:
             ref = self._reference.tolist()
             state = FlatState(ref[0:3], ref[3:6], ref[6:9], ref[9:12], ref[12], ref[13])
             motion, _ = flat_motion(FLOAT, state)
-            residual = law.network_residual(
-                FLOAT, blob.weights, blob.layers, motion, body_frame=blob.frame == "body"
+            self._fill_network(
+                law.network_residual(
+                    FLOAT,
+                    blob.weights,
+                    blob.layers,
+                    motion,
+                    body_frame=blob.body_frame,
+                    with_jerk=blob.feeds_jerk,
+                )
             )
-            if blob.version == 1:
-                residual = residual._replace(jerk_ned=law.NO_RESIDUAL.jerk_ned)
-            self._fill_network(residual)
         begins = self.weight < 1.0 and not self._has_faded
         self._has_faded |= begins
         return begins

@@ -7,10 +7,10 @@ from enum import IntEnum
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.law.checks import check_reference
-from trimtab.firmware_model.law.feedforward import OPEN_REGION
+from trimtab.firmware_model.law.feedforward import full_block
 from trimtab.firmware_model.law.feedforward_range import out_of_range
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason
-from trimtab.protocol.blobs import NEUTRAL_BLOCK, BlobError, FeedForward, Reference, from_bytes
+from trimtab.protocol.blobs import BlobError, FeedForward, Reference, from_bytes
 from trimtab.protocol.upload import Verdict
 
 
@@ -96,8 +96,8 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
 
 
 def _check_feedforward(blob: FeedForward) -> Verdict:
-    block = (*(blob.block or NEUTRAL_BLOCK), *(blob.region or OPEN_REGION))
-    excess = out_of_range(block, blob.weights, blob.layers, body_frame=blob.frame == "body")
+    block = full_block(blob.block, blob.region)
+    excess = out_of_range(block, blob.weights, blob.layers, body_frame=blob.body_frame)
     if excess is None:
         return Verdict(ok=True)
     text = f"{excess.quantity} {excess.value:.4g} beyond {excess.bound:g}"

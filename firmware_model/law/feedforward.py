@@ -56,8 +56,6 @@ VOLTAGE_RATIO = (0.5, 1.2)
 
 MAX_LAYERS, MAX_WIDTH = 3, 32
 NETWORK_INPUTS, NETWORK_OUTPUTS = 6, 3
-BODY_INPUTS = 3
-"""Inputs of a network in the body frame."""
 
 _TINY = 1e-12
 """Keeps the derivative of a square root finite at 0."""
@@ -80,6 +78,14 @@ class Residual(NamedTuple):
 
 
 NO_RESIDUAL = Residual((0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+
+def full_block(coefficients: Sequence[float] | None, region: Sequence[float] | None) -> tuple[float, ...]:
+    """Return the block of form (a), neutral for None, and of a region, open for None."""
+    return (
+        *(NEUTRAL[: REGION.start] if coefficients is None else coefficients),
+        *(OPEN_REGION if region is None else region),
+    )
 
 
 def gain_at_voltage(ops: Ops, gain: Scalar, exponent: Scalar, voltage_ratio: Scalar) -> Scalar:
@@ -174,23 +180,31 @@ def network(ops: Ops, weights: Vector, layers: Sequence[int], v: Vector, rpy: Ve
 
 
 def network_residual(
-    ops: Ops, weights: Vector, layers: Sequence[int], flight: FlatMotion, *, body_frame: bool
+    ops: Ops,
+    weights: Vector,
+    layers: Sequence[int],
+    flight: FlatMotion,
+    *,
+    body_frame: bool,
+    with_jerk: bool = True,
 ) -> Residual:
     """Return the residual of a tanh network along the reference.
 
     The network in the world frame takes velocity (NED) and Euler angles, the one in the body frame the
-    velocity in FRD. The derivative follows from the chain rule.
+    velocity in FRD. The derivative follows from the chain rule; without `with_jerk` it is 0.
     """
     v, a, R, rate = flight
-    if not body_frame:
+    if body_frame:
+        velocity = mat_t_vec(R, v)
+        rates = [x - y for x, y in zip(mat_t_vec(R, a), cross(rate, velocity), strict=True)]
+        force, force_rate = _with_rate(ops, weights, layers, velocity, rates)
+        turned = [x + y for x, y in zip(force_rate, cross(rate, force), strict=True)]
+        residual = Residual(mat_vec(R, force), mat_vec(R, turned))
+    else:
         rpy = matrix_to_euler(ops, R)
         inputs, input_rates = (*v, *rpy), (*a, *euler_rates(ops, rpy, rate))
-        return Residual(*_with_rate(ops, weights, layers, inputs, input_rates))
-    velocity = mat_t_vec(R, v)
-    rates = [x - y for x, y in zip(mat_t_vec(R, a), cross(rate, velocity), strict=True)]
-    force, force_rate = _with_rate(ops, weights, layers, velocity, rates)
-    turned = [x + y for x, y in zip(force_rate, cross(rate, force), strict=True)]
-    return Residual(mat_vec(R, force), mat_vec(R, turned))
+        residual = Residual(*_with_rate(ops, weights, layers, inputs, input_rates))
+    return residual if with_jerk else residual._replace(jerk_ned=NO_RESIDUAL.jerk_ned)
 
 
 def _with_rate(

@@ -11,7 +11,7 @@ from trimtab.firmware_model.law.dfbc import FlatState
 from trimtab.firmware_model.law.step import feedforward_terms, flat_motion
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.log.tracking import ReferencePath
-from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward, Reference
+from trimtab.protocol.blobs import FeedForward, Reference
 
 FLAT_ROWS = 14
 """p, v, a, j (NED), yaw, yaw rate."""
@@ -43,10 +43,13 @@ def feedforward_rows(
     if feedforward.layers:
         motion, _ = flat_motion(NUMPY, reference)
         network = law_feedforward.network_residual(
-            NUMPY, feedforward.weights, feedforward.layers, motion, body_frame=feedforward.frame == "body"
+            NUMPY,
+            feedforward.weights,
+            feedforward.layers,
+            motion,
+            body_frame=feedforward.body_frame,
+            with_jerk=feedforward.feeds_jerk,
         )
-        if feedforward.version == 1:
-            network = network._replace(jerk_ned=law_feedforward.NO_RESIDUAL.jerk_ned)
     accel, jerk, _ = feedforward_terms(NUMPY, block(feedforward), reference, network)
     rows[:] = np.array([np.broadcast_to(row, flat.shape[1]) for row in (*accel, *jerk)])
     return rows
@@ -65,6 +68,4 @@ def block(feedforward: FeedForward | None) -> tuple[float, ...]:
     """Return the law's block of a feed-forward: its form (a), or the neutral one, and its region."""
     if feedforward is None:
         return law_feedforward.NEUTRAL
-    coefficients = NEUTRAL_BLOCK if feedforward.block is None else feedforward.block
-    region = law_feedforward.OPEN_REGION if feedforward.region is None else feedforward.region
-    return (*coefficients, *region)
+    return law_feedforward.full_block(feedforward.block, feedforward.region)
