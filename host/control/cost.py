@@ -30,9 +30,6 @@ class CostPlaces(NamedTuple):
 COST = CostPlaces()
 
 
-COST = CostPlaces()
-
-
 def cost_terms(*, terminal: bool) -> ca.Function:
     """Return (x, u, reference, cost) -> value, gradient in x, in u, Hessian in x (Gauss-Newton)."""
     x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)

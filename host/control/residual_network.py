@@ -84,12 +84,10 @@ def _function(name: str, inputs: list[ca.SX], outputs: list[ca.SX]) -> ca.Functi
 
 def _matrices(layout: Layout, xi: ca.MX) -> list[ca.MX]:
     """Return two matrices a layer: rows by inputs, the bias last, and the transposed one."""
-    matrices, start = [], 0
-    for columns, rows in zip(layout.sizes[:-1], layout.sizes[1:], strict=True):
-        end = start + rows * (columns + 1)
-        transposed = ca.reshape(xi[start:end], columns + 1, rows)
+    matrices = []
+    for place in layout.places():
+        transposed = ca.reshape(xi[place.where], place.columns, place.rows)
         matrices += [transposed.T, transposed]
-        start = end
     return matrices
 
 

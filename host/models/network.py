@@ -58,7 +58,7 @@ class Layout:
         to the nominal model.
         """
         xi = np.zeros(self.size)
-        layers = list(self._layers())
+        layers = list(self.places())
         for layer in layers:
             scale = (0.1 if layer is layers[-1] else 1.0) / math.sqrt(layer.columns - 1)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
@@ -92,7 +92,7 @@ class Layout:
         rows = casadi.vertsplit(state)
         values = casadi.vertcat(*self.inputs(CASADI, rows))
         ones = casadi.DM.ones(1, state.shape[1])
-        for k, layer in enumerate(self._layers()):
+        for k, layer in enumerate(self.places()):
             if k:
                 values = casadi.tanh(values)
             weights = casadi.reshape(xi[layer.where], layer.columns, layer.rows).T  # CasADi: columns first
@@ -105,7 +105,7 @@ class Layout:
         """Return accelerations for v_ned and Theta on numpy."""
         rows = list(state)
         values = np.stack(self.inputs(NUMPY, rows))
-        for k, layer in enumerate(self._layers()):
+        for k, layer in enumerate(self.places()):
             if k:
                 values = np.tanh(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
@@ -120,7 +120,7 @@ class Layout:
     ) -> Annotated[np.ndarray, "weights"]:
         """Return costate' d(acceleration)/dxi, with the acceleration of `arrays`."""
         values, layer_inputs = np.stack(self.inputs(NUMPY, list(state))), []
-        layers = list(self._layers())
+        layers = list(self.places())
         for k, layer in enumerate(layers):
             if k:
                 values = np.tanh(values)
@@ -141,19 +141,21 @@ class Layout:
         self, xi: Annotated[np.ndarray, "weights"]
     ) -> list[tuple[Annotated[np.ndarray, "outputs inputs"], Annotated[np.ndarray, "outputs"]]]:
         """Return weights and biases of every layer; the last is linear."""
-        matrices = [xi[layer.where].reshape(layer.rows, layer.columns) for layer in self._layers()]
+        matrices = [xi[layer.where].reshape(layer.rows, layer.columns) for layer in self.places()]
         return [(rows[:, :-1], rows[:, -1]) for rows in matrices]
 
-    def _layers(self) -> Iterator[_Layer]:
+    def places(self) -> Iterator[LayerPlace]:
         """Yield the place of every layer's weights; each row ends with its bias."""
         start = 0
         for inputs, outputs in pairwise(self.sizes):
             stop = start + outputs * (inputs + 1)
-            yield _Layer(slice(start, stop), outputs, inputs + 1)
+            yield LayerPlace(slice(start, stop), outputs, inputs + 1)
             start = stop
 
 
-class _Layer(NamedTuple):
+class LayerPlace(NamedTuple):
+    """Place of a layer's weights in xi, and its rows and columns; each row ends with its bias."""
+
     where: slice
     rows: int
     columns: int
