@@ -14,11 +14,12 @@ from typing import Any
 import numpy as np
 from scipy.stats import wilcoxon
 
+from trimtab.host.apps.paper.chance import median_interval
+
 FAILED_M = 11.0
 """Error that counts for a failed plan or flight: more than the diagonal of the room."""
 LEAST_COURSES = 5
 """Courses, or cells, from which on there is an interval: bootstraps of fewer are too narrow."""
-_SAMPLES = 10_000
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -63,12 +64,7 @@ def error_m(row: Mapping[str, Any]) -> float:
 
 def interval(values: Sequence[float]) -> tuple[float, float] | None:
     """Return 95 % of the bootstraps of the median; None for fewer values than LEAST_COURSES."""
-    if len(values) < LEAST_COURSES:
-        return None
-    given = np.asarray(values, dtype=float)
-    drawn = np.random.default_rng(0).integers(len(given), size=(_SAMPLES, len(given)))
-    low, high = np.percentile(np.median(given[drawn], axis=1), [2.5, 97.5])
-    return float(low), float(high)
+    return None if len(values) < LEAST_COURSES else median_interval(values)
 
 
 def effect(ratios_by_course: Mapping[Any, Sequence[float]]) -> Effect:

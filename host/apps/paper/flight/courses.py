@@ -6,10 +6,9 @@ chosen for means and standard deviations near the paper's.
 
 from __future__ import annotations
 
-import hashlib
-
 import numpy as np
 
+from trimtab.host.apps.paper.chance import number
 from trimtab.host.apps.paper.paths import Course, Room, draw_path
 from trimtab.host.vehicle import Vehicle
 
@@ -43,5 +42,4 @@ def draw_courses(vehicle: Vehicle, seed: int) -> list[Course]:
 
 def draw(seed: int, purpose: str, world: int) -> int:
     """Return a number for a purpose in a world, from the study's seed."""
-    text = f"trimtab study paper-flight, {purpose} of world {world}, seed {seed}"
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 33
+    return number(f"trimtab study paper-flight, {purpose} of world {world}, seed {seed}")

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.apps.paper.chance import SAMPLES
 from trimtab.host.apps.paper.flight import published, tables
 from trimtab.host.apps.paper.flight.controllers import TABLE_III
 from trimtab.host.apps.paper.flight.models import FLIGHTS, OURS, PAPER, SEGMENTS
@@ -16,8 +17,6 @@ from trimtab.host.apps.paper.text import text
 
 Row = dict[str, Any]
 World = Mapping[str, Any]
-
-_SAMPLES = 10_000
 
 
 def summary(answer: Mapping[str, Any], pieces: Mapping[str, Mapping[str, Any]]) -> dict[str, Any]:
@@ -67,8 +66,8 @@ def cluster_interval(groups: Sequence[Sequence[float]]) -> list[float] | None:
     if not filled:
         return None
     rng = np.random.default_rng(0)
-    means = np.stack([g[rng.integers(len(g), size=(_SAMPLES, len(g)))].mean(axis=1) for g in filled], axis=1)
-    drawn = rng.integers(len(filled), size=(_SAMPLES, len(filled)))
+    means = np.stack([g[rng.integers(len(g), size=(SAMPLES, len(g)))].mean(axis=1) for g in filled], axis=1)
+    drawn = rng.integers(len(filled), size=(SAMPLES, len(filled)))
     low, high = np.percentile(np.take_along_axis(means, drawn, axis=1).mean(axis=1), [2.5, 97.5])
     return [float(low), float(high)]
 

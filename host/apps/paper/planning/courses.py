@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import hashlib
 from dataclasses import dataclass
 
+from trimtab.host.apps.paper.chance import number
 from trimtab.host.base.errors import Refused
 from trimtab.host.plan import Plan, plan
 from trimtab.host.route import Route, random_route
@@ -50,5 +50,4 @@ def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course
 
 def draw(seed: int, *what: str | int) -> int:
     """Return a number for a purpose, from the study's seed."""
-    text = "trimtab study paper-planning, " + ", ".join(map(str, what)) + f", seed {seed}"
-    return int.from_bytes(hashlib.sha256(text.encode()).digest()[:8], "big") >> 33
+    return number("trimtab study paper-planning, " + ", ".join(map(str, what)) + f", seed {seed}")

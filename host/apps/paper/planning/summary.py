@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.apps.paper.chance import median_interval
 from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORKS, RESIDUAL_KINDS
 from trimtab.host.apps.paper.text import text
 
@@ -15,7 +16,6 @@ Row = dict[str, Any]
 PAPER_DRAG_N = {"min-snap": 1.845, "min-control-r": 1.483, "min-residual*": 0.817}
 """Mean drag along the plans of the paper's figure 3."""
 BASES = ("min-snap", "min-control")
-_SAMPLES = 10_000
 _MEASURES = {
     "residual": "residual_mean_m_s2",
     "error": "error_mean_m",
@@ -130,11 +130,9 @@ def ratio(courses: Sequence[Mapping[str, Any]], kind: str, base: str, key: str) 
     ratios = np.array([a / b for a, b in pairs if a is not None and b])
     if not len(ratios):
         return {"median": None, "ci95": None, "courses": 0, "better": 0}
-    drawn = np.random.default_rng(0).integers(len(ratios), size=(_SAMPLES, len(ratios)))
-    low, high = np.percentile(np.median(ratios[drawn], axis=1), [2.5, 97.5])
     return {
         "median": float(np.median(ratios)),
-        "ci95": [float(low), float(high)],
+        "ci95": list(median_interval(ratios.tolist())),
         "courses": len(ratios),
         "better": int((ratios < 1.0).sum()),
     }
