@@ -18,6 +18,8 @@ from enum import Enum
 from typing import NamedTuple
 
 from trimtab.firmware_model.law.constants import GRAVITY
+from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.rotations import matrix_to_euler, quat_to_matrix
 from trimtab.host.control.interface import ControlStep, RateCommand, StateEstimate
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.host_control import ControlStop, HostControl
@@ -115,6 +117,8 @@ class ControlStream:
         self.finished = False
         self._control = control
         self._reference = reference
+        self._first_ned = reference.nodes_ned()[0].state[:3]
+        self._first_yaw = reference.yaw_nodes()[0].yaw
         self._thrust_scale = 1.0 / (4.0 * thrust_max_n)
         self._hover_n = mass_kg * GRAVITY
         self._on_begin, self._on_step = on_begin, on_step
@@ -208,7 +212,7 @@ class ControlStream:
         self.deadline_us = self._setpoint_us if self._offboard else min(self._setpoint_us, self._command_us)
 
     def _first_node(self) -> Message:
-        north, east, down = self._reference.nodes_ned()[0].state[:3]
+        north, east, down = self._first_ned
         return m.SetPositionTarget(
             time_boot_ms=0,
             target_system=m.VEHICLE[0],
@@ -224,15 +228,14 @@ class ControlStream:
             afx=0.0,
             afy=0.0,
             afz=0.0,
-            yaw=self._reference.yaw_nodes()[0].yaw,
+            yaw=self._first_yaw,
             yaw_rate=0.0,
         )
 
     def _is_at_start(self, estimate: m.FcEstimate) -> bool:
-        w, x, y, z = decode_quaternion(estimate.q)
-        yaw = math.atan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-        turn = math.remainder(yaw - self._reference.yaw_nodes()[0].yaw, 2.0 * math.pi)
-        distance = math.dist(estimate.p, self._reference.nodes_ned()[0].state[:3])
+        _, _, yaw = matrix_to_euler(FLOAT, quat_to_matrix(FLOAT, decode_quaternion(estimate.q)))
+        turn = math.remainder(yaw - self._first_yaw, 2.0 * math.pi)
+        distance = math.dist(estimate.p, self._first_ned)
         return distance < NEAR_M and math.hypot(*estimate.v) < SLOW_M_S and abs(turn) < ALIGNED_RAD
 
     # The stream.
