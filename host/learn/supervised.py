@@ -36,14 +36,17 @@ def learn_supervised(
     flights: Sequence[Flight],
     *,
     settings: CondensedSettings | None = None,
+    accelerations: Sequence[np.ndarray] | None = None,
     seed: int = 0,
     provenance: Mapping[str, Any] | None = None,
 ) -> Model:
     """Return a model whose network predicts the residual acceleration of one vehicle's flights.
 
     A fifth of the segments of a second, drawn at random, decides when to stop. settings: layout, iterations,
-    patience, l2 and any_heading count. Raises ValueError without a layout, TooLittleData for flights of
-    several vehicles or of less than eight seconds.
+    patience, l2 and any_heading count. accelerations: (samples, 3) of each flight, m/s^2, NED, on the grid of
+    `prepare(flights)`, in place of those of the smoothed path. Raises ValueError without a layout or for
+    accelerations of a wrong shape, TooLittleData for flights of several vehicles or of less than eight
+    seconds.
     """
     settings = settings or CondensedSettings()
     if settings.layout is None:
@@ -54,7 +57,14 @@ def learn_supervised(
     rng = np.random.default_rng(seed)
     prepared = prepare(flights)
     states = [states_of(each) for each in prepared]
-    nodes, labels = _segments(states, [each.a for each in prepared])
+    smoothed = [each.a for each in prepared]
+    given = smoothed if accelerations is None else accelerations
+    if [each.shape for each in given] != [each.shape for each in smoothed]:
+        raise ValueError(
+            f"accelerations of shapes {[each.shape for each in given]}; "
+            f"the flights need {[each.shape for each in smoothed]}"
+        )
+    nodes, labels = _segments(states, given)
     if len(nodes) < _LEAST_SEGMENTS:
         raise TooLittleData(
             f"{len(nodes)} segments of a second are too few to learn from; give {_LEAST_SEGMENTS} s of flight"

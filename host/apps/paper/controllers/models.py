@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from trimtab.host.apps.demo.flights import Airfield
-from trimtab.host.apps.paper.controllers.table import CLOSED_FORM, labels
+from trimtab.host.apps.paper.controllers.table import CLOSED_FORM, Regressor, labels
 from trimtab.host.apps.paper.planning.compare import training_flights
 from trimtab.host.apps.paper.planning.courses import draw
 from trimtab.host.base.artefacts import write_atomic
@@ -21,7 +21,7 @@ from trimtab.host.learn.supervised import learn_supervised
 from trimtab.host.log import Flight
 from trimtab.host.models.file import SUFFIX, read_model, write_model
 from trimtab.host.models.model import Model
-from trimtab.host.models.network import Frame, Layout
+from trimtab.host.models.network import Layout
 from trimtab.host.vehicle import Vehicle
 
 COMMAND = "trimtab study paper-controllers"
@@ -38,6 +38,12 @@ PAPER_SETTINGS = Settings(
     free_start=False,
 )
 """As in the paper (section V-A): Adam, batches of ten segments, starts as measured, headings as flown."""
+WORLD_LAYOUT, BODY_LAYOUT = Layout(hidden=(32, 32), frame="world"), Layout(hidden=(32, 32), frame="body")
+LABEL_SETTINGS: Mapping[Regressor, CondensedSettings] = {
+    "paper": CondensedSettings(layout=WORLD_LAYOUT, any_heading=False),
+    "ours": CondensedSettings(layout=BODY_LAYOUT),
+}
+"""Settings of the networks that are learned from labels."""
 _DONE = "learned.json"
 
 
@@ -106,7 +112,7 @@ def learn_models(
     ours = learn(
         flights,
         effects=effects,
-        settings=CondensedSettings(layout=_layout("body")),
+        settings=CondensedSettings(layout=BODY_LAYOUT),
         forms=DEFAULT_FORMS,
         hold_out=(),
         seed=seed,
@@ -125,15 +131,9 @@ def learn_models(
             seed=seed,
             as_asked=True,
         ).model,
-        labels("paper"): learn_supervised(
-            flights, settings=CondensedSettings(layout=_layout("world"), any_heading=False), seed=seed
-        ),
-        labels("ours"): learn_supervised(
-            flights, settings=CondensedSettings(layout=_layout("body")), seed=seed
-        ),
+        **{
+            labels(regressor): learn_supervised(flights, settings=settings, seed=seed)
+            for regressor, settings in LABEL_SETTINGS.items()
+        },
     }
     return learned, ours.selected.what
-
-
-def _layout(frame: Frame) -> Layout:
-    return Layout(hidden=(32, 32), frame=frame)
