@@ -38,14 +38,18 @@ class Airfield:
     world_seed: int
     session: Mapping[str, str]
 
+    def simulator(self) -> Any:
+        """Return the class of the simulated vehicles."""
+        return vehicle_class()
+
     def check(self) -> None:
         """Raise ConfigurationError if there is no such world."""
-        vehicle_class().create(self.vehicle, world=self.world, world_seed=self.world_seed).close()
+        self.simulator().create(self.vehicle, world=self.world, world_seed=self.world_seed).close()
 
     def power_up(self, reference: Reference, flight: int) -> Any:
         """Return a simulated vehicle below the reference's first node."""
         north, east = reference.nodes_ned()[0].state[:2]
-        return vehicle_class().create(
+        return self.simulator().create(
             self.vehicle,
             world=self.world,
             world_seed=self.world_seed,
