@@ -29,7 +29,8 @@ def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course
     """Return course `index` of a purpose, which is feasible by construction.
 
     Its time is the least one, from the drawn pace to twice that time, in which min-snap keeps the limits.
-    Raises ValueError if no drawn course qualifies.
+    The durations of its legs are optimised anew for that time, so the plan of the route is tried too. Raises
+    ValueError if no drawn course qualifies.
     """
     for attempt in range(_TRIES):
         route = random_route(
@@ -41,10 +42,12 @@ def draw_course(vehicle: Vehicle, seed: int, index: int, purpose: str) -> Course
         )
         try:
             snap = plan(route, vehicle, kind="min-snap", stretch=True)
+            timed = route.model_copy(update={"total_time_s": snap.duration_s})
+            plan(timed, vehicle, kind="min-snap")
         except Refused:
             continue
         if snap.stretch <= 2.0:
-            return Course(route=route.model_copy(update={"total_time_s": snap.duration_s}), snap=snap)
+            return Course(route=timed, snap=snap)
     raise ValueError(f"none of {_TRIES} drawn courses may be flown by {vehicle.name}")
 
 

@@ -16,6 +16,7 @@ from trimtab.host.apps.paper.planning.summary import summary
 from trimtab.host.cli import main
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
+from trimtab.host.plan import plan
 from trimtab.host.vehicle import load_vehicle
 
 pytestmark = pytest.mark.usefixtures("virtual_machine")
@@ -67,6 +68,12 @@ def test_course_is_flown_by_min_snap_in_its_time():
     assert course.route.duration_s == pytest.approx(course.snap.duration_s)
     assert draw_course(VEHICLE, 3, 0, "test").snap.reference.id == course.snap.reference.id
     assert draw_course(VEHICLE, 3, 1, "test").route.waypoints_m != course.route.waypoints_m
+
+
+def test_stretched_course_may_be_planned_again_in_its_time():
+    # The first route that is drawn here is refused in its stretched time, with durations optimised for it.
+    course = draw_course(VEHICLE, 9300, 0, "labels-training-world-00")
+    assert plan(course.route, VEHICLE).duration_s == pytest.approx(course.snap.duration_s)
 
 
 def test_planned_course_has_every_kind_and_less_drag_with_min_residual(monkeypatch):
