@@ -28,7 +28,7 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    return tables_page("controllers", outcome, drawn, provenance)
+    return tables_page("The paper's controllers section", outcome, drawn, provenance)
 
 
 def _errors_mm(cells: Any, flown: Set) -> dict[str, dict[str, list[float]]]:

@@ -55,7 +55,7 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    return tables_page("flight", outcome, drawn, provenance)
+    return tables_page("The paper's flight section", outcome, drawn, provenance)
 
 
 def _ratios(found: Mapping[str, Any]) -> dict[str, list[float | None]]:

@@ -35,4 +35,4 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    return tables_page("learning", outcome, drawn, provenance)
+    return tables_page("The paper's learning section", outcome, drawn, provenance)

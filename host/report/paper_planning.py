@@ -42,4 +42,4 @@ def _over(kinds: Mapping[str, Mapping[str, Any]], kind: str, key: str) -> float 
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    return tables_page("planning", outcome, drawn, provenance)
+    return tables_page("The paper's planning section", outcome, drawn, provenance)

@@ -1,4 +1,4 @@
-"""Report of a study of a section of the paper: tables and figures."""
+"""Report of a study that consists of tables and figures."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from trimtab.host.report.html import render, script_data
 
 
 def tables_page(
-    section: str,
+    title: str,
     outcome: Mapping[str, Any],
     drawn: Mapping[str, Figure],
     provenance: Mapping[str, object],
@@ -21,7 +21,7 @@ def tables_page(
     scope = "quick check, not for the record" if answer["quick"] else f"{answer['worlds']} worlds"
     return render(
         "tables.html.j2",
-        title=f"The paper's {section} section: {scope}, seed {answer['seed']}",
+        title=f"{title}: {scope}, seed {answer['seed']}",
         tables=outcome["tables"],
         figures=list(drawn.values()),
         provenance=json.dumps(dict(provenance), indent=1, default=str),
