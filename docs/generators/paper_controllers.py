@@ -53,7 +53,7 @@ V-A: Adam at {rate:g}, segments of 50 nodes, batches of {batch}, {epochs} epochs
 what `trimtab learn` selects by default, with a network in the body frame: nothing, the effects, or effects
 and network. Both learn from the same {training} flights of {courses} other courses in their world, flown by
 the baseline at paces {paces}. Neural-C learns from labels that the logs give, not from the true drag as in
-the paper.
+the paper; [another study](labels.md) flies both.
 
 **Balanced design.** Each world has {per_world} held-out courses of nine waypoints and three speeds: the
 least time in which Min-Snap keeps the limits, times {speeds}. A cell is a course at one speed. It flies one

@@ -16,4 +16,4 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    return tables_page("labels", outcome, drawn, provenance)
+    return tables_page("Labels of Neural-C", outcome, drawn, provenance)

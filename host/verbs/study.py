@@ -24,13 +24,13 @@ class StudyOptions:
     seed
         Seed of worlds, flights and first weights.
     worlds
-        Number of worlds. Default: 30 for blind (538 in full size), 20 for calibrate, 5 for correction and
-        the paper's studies.
+        Number of worlds. Default: 30 for blind (538 in full size), 20 for calibrate, 5 for correction,
+        labels and the paper's studies.
     jobs
         Number of processes. Default: one for each core.
     quick
-        Run a small study to check that everything works. For controller-tuning, correction, link and the
-        paper's studies.
+        Run a small study to check that everything works. For controller-tuning, correction, labels, link and
+        the paper's studies.
     baselines
         Also score other methods on the same logs. For blind.
     real
@@ -63,8 +63,9 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     name
         Study to run: blind (tracing in sealed worlds), calibrate (thresholds of tracing), controller-tuning
         (settings of the controller files), correction (flown error without and with the correction of a
-        model), link (uploads over a lossy radio link, interrupted uploads, fuzzing), paper-learning,
-        paper-planning, paper-controllers, paper-flight (sections of the paper).
+        model), labels (the paper's Neural-C from smoothed and from true labels), link (uploads over a lossy
+        radio link, interrupted uploads, fuzzing), paper-learning, paper-planning, paper-controllers,
+        paper-flight (sections of the paper).
     """
     import os
 

@@ -18,6 +18,7 @@ import pytest
 
 from tests.host.apps.paper.controllers.made_up import pieces as controller_pieces
 from tests.host.apps.paper.flight.made_up import made_up_world
+from tests.sitl.studies.labels.made_up import made_up_world as made_up_labels
 from trimtab.host import cli
 from trimtab.host.apps.bench import control, planning
 from trimtab.host.apps.bench import flown as bench_flown
@@ -38,6 +39,8 @@ from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model, write_model
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
+from trimtab.sitl.studies.labels.summary import NEURAL
+from trimtab.sitl.studies.labels.summary import summary as labels_summary
 from trimtab.sitl.studies.link import summary as link_summary
 from trimtab.sitl.studies.real import Group, real_row
 from trimtab.sitl.studies.scoring import correction
@@ -282,6 +285,13 @@ def test_study_correction_prints_what_the_page_says() -> None:
     }
     told = {"study": "correction", "seed": 1, "worlds": 2, "quick": False, "folder": "f", "report": "r.html"}
     check("study correction", {**told, **correction.summary({"0000": score, "0001": score}, 1)})
+
+
+def test_study_labels_prints_what_the_page_says() -> None:
+    told = {"study": "labels", "seed": 1, "worlds": 3, "quick": False, "folder": "f"}
+    worlds = [made_up_labels(0, failed=(NEURAL, 1)), made_up_labels(1), made_up_labels(2)]
+    outcome = labels_summary(told, worlds)
+    check("study labels", {**outcome["answer"], "report": "f/report.html"})
 
 
 def test_study_link_prints_what_the_page_says() -> None:
