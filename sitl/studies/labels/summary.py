@@ -54,13 +54,13 @@ def summary(answer: Mapping[str, Any], results: Sequence[Result]) -> dict[str, A
 def ratios(results: Sequence[Result]) -> list[Row]:
     """Return the ratios of flown errors by regressor, over pairs of the same plan and flight index.
 
-    The unit is the course; its value is the median over its trajectories. by_world: medians of each world.
+    The unit is the course; its value is the median over its trajectories. by_world: medians over the courses
+    of each world.
     """
     rows = []
     for regressor in REGRESSORS:
         for name, (one, other) in RATIOS.items():
             by_course: dict[tuple[int, int], list[float]] = {}
-            by_world: dict[int, list[float]] = {}
             failed = 0
             for result in results:
                 flown = {
@@ -73,16 +73,18 @@ def ratios(results: Sequence[Result]) -> list[Row]:
                         beside = flown[other, course, trajectory]
                         ratio = error_m(row) / error_m(beside)
                         by_course.setdefault((result["world"], course), []).append(ratio)
-                        by_world.setdefault(result["world"], []).append(ratio)
                         failed += row["failed"] is not None or beside["failed"] is not None
             rows.append(
                 {
                     "regressor": regressor,
                     "ratio": name,
-                    "pairs": sum(map(len, by_world.values())),
+                    "pairs": sum(map(len, by_course.values())),
                     "failed": failed,
                     **effect(by_course).to_json(),
-                    "by_world": [effect({world: values}).median for world, values in by_world.items()],
+                    "by_world": [
+                        effect({place: by_course[place] for place in by_course if place[0] == world}).median
+                        for world in dict.fromkeys(world for world, _ in by_course)
+                    ],
                 }
             )
     corrected = holm([row["p"] for row in rows])
