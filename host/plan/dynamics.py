@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -22,10 +22,13 @@ from trimtab.host.models.airframe import RATE, THETA, THRUST, P, Part, V
 from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.stage import StageModel
+from trimtab.host.plan.tracking_error import ERROR_RATE, ERROR_STATES, error_cost, error_derivative
 from trimtab.host.vehicle import Limits, Vehicle
 
 Array = NDArray[np.float64]
 
+Minimised = Literal["residual", "error"]
+"""What a plan minimises beside the effort: the residual, or the tracking error that it predicts."""
 STATES, INPUTS = 16, 4
 YAW, SMOOTHING, CONTROL, THRUST_RATE, YAW_WEIGHT, TIME, SPEED_MAX, JERK_MAX = range(8)
 """An interval's parameters, which may change without a rebuild.
@@ -118,6 +121,11 @@ class Dynamics:
         parts = self._parts(p) if self.augmented else ()
         return ca.vertcat(*rigid_body(CASADI, self.vehicle, parts, self._scalars(x)), u)
 
+    def derivative_with_error(self, x: ca.SX, u: ca.SX, p: ca.SX, *, free_yaw: bool = False) -> ca.SX:
+        """Return xdot (22,), with the predicted tracking error and its rate, without the network."""
+        d = self.residual(x, p, free_yaw=free_yaw)[:3]
+        return ca.vertcat(self.derivative(x, u, p), *error_derivative(self.vehicle, x, d))
+
     def residual(self, x: ca.SX, p: ca.SX, *, free_yaw: bool = False) -> ca.SX:
         """Return the rows (3 or 6,) of `ResidualModel.rows`, less their values at rest.
 
@@ -203,14 +211,16 @@ class Dynamics:
         raise ValueError("the model has no state of rest near level flight: its values cannot be right")
 
     def stage_model(
-        self, *, minimise_residual: bool, free_yaw: bool = False, track_path: bool = False
+        self, *, minimise: Minimised | None, free_yaw: bool = False, track_path: bool = False
     ) -> StageModel:
         """Return the interval's model; weights, limits and values of effects are parameters.
 
-        free_yaw: no heading is requested, and its rate is a path row. track_path: the cost has the squared
-        distance from a path, by the last four parameters.
+        minimise: what the cost has beside the effort. With "error" the state has the predicted tracking error
+        and its rate (`trimtab.host.plan.tracking_error`). free_yaw: no heading is requested, and its rate is
+        a path row. track_path: the cost has the squared distance from a path, by the last four parameters.
         """
         tracking = EFFECTS + len(self.theta)
+        predict_error = minimise == "error"
 
         def effort(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
             thrust = x[THRUST]
@@ -221,6 +231,8 @@ class Dynamics:
                 + p[YAW_WEIGHT] * turn * turn
                 + p[TIME]
             )
+            if predict_error:
+                total += error_cost(self.vehicle, x)
             if track_path:
                 total += p[tracking] * ca.sumsqr(x[P] - p[tracking + 1 : tracking + 4])
             return total
@@ -238,14 +250,20 @@ class Dynamics:
         def residual(x: ca.SX, p: ca.SX) -> ca.SX:
             return self.residual(x, p, free_yaw=free_yaw)
 
+        def derivative(x: ca.SX, u: ca.SX, p: ca.SX) -> ca.SX:
+            if predict_error:
+                return self.derivative_with_error(x, u, p, free_yaw=free_yaw)
+            return self.derivative(x, u, p)
+
+        network_rows = V if self.augmented else ERROR_RATE if predict_error else None
         return StageModel(
-            nx=STATES,
+            nx=STATES + (ERROR_STATES if predict_error else 0),
             nu=INPUTS,
             np=tracking + (4 if track_path else 0),
-            derivative=self.derivative,
-            residual=residual if minimise_residual else None,
+            derivative=derivative,
+            residual=residual if minimise == "residual" else None,
             effort=effort,
             path=path,
             network=self.model.network,
-            augmented=self.augmented,
+            network_rows=network_rows,
         )

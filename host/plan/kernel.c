@@ -3,12 +3,14 @@
    A lane is an interval, z = (x, u, h). Behind simd.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
    the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), BEND (Hessian of f),
-   PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK, AUGMENTED and
-   RESIDUAL are 0 or 1; with a network SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
+   PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK and RESIDUAL
+   are 0 or 1. NETWORK_ROW is the first row of the dynamics that the network is added to, -1 for none. With a network
+   SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
 
 #define NZ (NX + NU + 1)
 #define NXU (NX + NU)
 #define UPPER (NZ * (NZ + 1) / 2)
+#define DRIVEN (NETWORK && NETWORK_ROW >= 0)
 
 typedef struct { const V *x, *u, *h, *h0, *p; } Interval;
 
@@ -98,10 +100,10 @@ static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) 
         for (int r = 0; r < NX; ++r) now->x[r] = i ? at.x[r] + ALONG[i] * step * last->k[r] : at.x[r];
         if (slopes) df(now->x, at.u, at.p, now->k, now->a, now->b);
         else f(now->x, at.u, at.p, now->k);
-#if NETWORK && AUGMENTED
+#if DRIVEN
         net_value(xi, now->x + 3, &now->net);
         if (slopes) net_slopes(xi, now->x + 3, &now->net);
-        for (int r = 0; r < 3; ++r) now->k[3 + r] += now->net.d[r];
+        for (int r = 0; r < 3; ++r) now->k[NETWORK_ROW + r] += now->net.d[r];
 #endif
         if (!slopes) continue;
         for (int r = 0; r < NX; ++r) {
@@ -118,9 +120,9 @@ static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) 
             const V *of = now->S + A_COL[n] * NZ;
             for (int c = 0; c < NZ; ++c) row[c] += now->a[n] * of[c];
         }
-#if NETWORK && AUGMENTED
+#if DRIVEN
         for (int r = 0; r < 3; ++r) for (int q = 0; q < 6; ++q) {
-            V *row = now->K + (3 + r) * NZ;
+            V *row = now->K + (NETWORK_ROW + r) * NZ;
             const V *of = now->S + (3 + q) * NZ;
             for (int c = 0; c < NZ; ++c) row[c] += now->net.jacobian[r * 6 + q] * of[c];
         }
@@ -132,7 +134,7 @@ static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) 
 /* The network at the interval's start, for its part of the cost. */
 INLINE const Net *start_net(const double *xi, Interval at, int slopes, const Evaluation *e, Net *own_net) {
 #if NETWORK && RESIDUAL
-#if AUGMENTED
+#if DRIVEN
     if (e) return &e->net;
 #endif
     net_value(xi, at.x + 3, own_net);
@@ -227,18 +229,18 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
         }
         for (int r = 0; r < NX; ++r) pulled[i][r] = splat(0.0);
         for (int n = 0; n < A_NNZ; ++n) pulled[i][A_COL[n]] += e[i].a[n] * adjoint[i][A_ROW[n]];
-#if NETWORK && AUGMENTED
+#if DRIVEN
         for (int r = 0; r < 3; ++r)
-            for (int q = 0; q < 6; ++q) pulled[i][3 + q] += e[i].net.jacobian[r * 6 + q] * adjoint[i][3 + r];
+            for (int q = 0; q < 6; ++q) pulled[i][3 + q] += e[i].net.jacobian[r * 6 + q] * adjoint[i][NETWORK_ROW + r];
 #endif
     }
     for (int i = 0; i < 4; ++i) {
         V bend[BEND_NNZ], BS[NXU * NZ];
         ddf(e[i].x, at.u, at.p, adjoint[i], bend);
-#if NETWORK && AUGMENTED
+#if DRIVEN
         V block[36];
         for (int c = 0; c < 36; ++c) block[c] = splat(0.0);
-        net_bends(xi, e[i].x + 3, &e[i].net, adjoint[i] + 3, block);
+        net_bends(xi, e[i].x + 3, &e[i].net, adjoint[i] + NETWORK_ROW, block);
         for (int n = 0; n < BEND_NNZ; ++n) if (BEND_BLOCK[n] >= 0) bend[n] += block[BEND_BLOCK[n]];
 #endif
         for (int k = 0; k < ACTIVE; ++k) {
@@ -279,7 +281,7 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
 #if NETWORK
     V bend[36];
     for (int c = 0; c < 36; ++c) bend[c] = splat(0.0);
-    net_bends(xi, at.x + 3, AUGMENTED ? &e[0].net : &net, mu, bend);
+    net_bends(xi, at.x + 3, DRIVEN ? &e[0].net : &net, mu, bend);
     for (int p = 0; p < 6; ++p) for (int q = p; q < 6; ++q) H[(3 + p) * NZ + 3 + q] += bend[p * 6 + q];
 #endif
 #endif

@@ -94,7 +94,7 @@ class _Parts:
         self.by_x, self.by_u = by_x.sparsity(), by_u.sparsity()
         self.bend = bend.sparsity()
         block = ca.Sparsity(nx + nu, nx + nu)
-        if model.network is not None and model.augmented:
+        if model.network is not None and model.network_rows is not None:
             indices = range(NETWORK_INPUTS.start, NETWORK_INPUTS.stop)
             pairs = [(i, j) for i in indices for j in indices if i <= j]
             block = ca.Sparsity.triplet(
@@ -134,8 +134,8 @@ class _Parts:
         learned = np.zeros(nx, dtype=bool)
         if self.model.network is not None:
             learned[NETWORK_INPUTS] = True
-            if self.model.augmented:
-                by_x[3:6] |= learned
+            if self.model.network_rows is not None:
+                by_x[self.model.network_rows] |= learned
         start = np.eye(nx, nz, dtype=bool)
         reached = start.copy()
         bend = _mask(self.bend)
@@ -173,7 +173,7 @@ class _Parts:
             "NP": model.np,
             "ROWS": self.rows,
             "NETWORK": int(network is not None),
-            "AUGMENTED": int(model.augmented),
+            "NETWORK_ROW": -1 if model.network_rows is None else model.network_rows.start,
             "RESIDUAL": int(model.residual is not None),
             "D_ROWS": self.residual_rows,
         }

@@ -2,7 +2,8 @@
 
 min-snap is the minimum-snap spline with optimised leg times. It ignores limits. If it breaks one, it is
 refused, or stretched in time where allowed. min-control and min-residual are paper eqs. 10-11, solved by
-multiple shooting within the vehicle's limits.
+multiple shooting within the vehicle's limits. min-error minimises the tracking error that the residual causes
+in the loop of the flatness-based law (`trimtab.host.plan.tracking_error`) instead of the residual itself.
 
 With nominal dynamics the reference is feasible for the nominal vehicle, which is what a flatness-based law
 assumes (paper section IV-C.4). With augmented dynamics (`*` in the paper) the path is feasible for the
@@ -31,7 +32,7 @@ from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.heading import check_turnable
 from trimtab.host.plan.job import Job
 from trimtab.host.plan.residual import ResidualModel
-from trimtab.host.plan.result import Kind, Plan, Settings, label, parse_kind
+from trimtab.host.plan.result import MINIMISED, Kind, Plan, Settings, label, parse_kind
 from trimtab.host.plan.rounds import plan_shooting
 from trimtab.host.plan.shooting import NODES_MAX
 from trimtab.host.plan.stretch import plan_snap
@@ -109,11 +110,11 @@ def make_job(
             f"{source or route.name}: yaw.free: min-control-r tracks a path with its heading; give the "
             "heading, or plan min-control"
         )
-    if route.yaw.free and (name == "min-residual" or augmented):
+    if route.yaw.free and (name in MINIMISED or augmented):
         check_turnable(dynamics, source or route.name)
     if augmented:
         _check_steady(dynamics, route)
-    if dynamics.model.network is not None and dynamics.model.region is not None and name == "min-residual":
+    if dynamics.model.network is not None and dynamics.model.region is not None and name in MINIMISED:
         limits = within_region(limits, dynamics.model.region, dynamics)
     return Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
 
@@ -140,12 +141,17 @@ def _residual_model(
         except ValueError as error:
             raise UsageError(str(error)) from None
     if model is None:
-        if kind == "min-residual" or augmented:
+        if kind in MINIMISED or augmented:
             raise UsageError(f"{label(kind, augmented)} needs a model, give --model")
         return ResidualModel()
     if kind == "min-residual" and not model.has_residual(vehicle):
         raise UsageError(
             "the model has no network and names no effect that depends on the path: no residual to minimise"
+        )
+    if kind == "min-error" and not model.has_acceleration(vehicle):
+        raise UsageError(
+            "the model has no network and names no effect whose acceleration depends on the path: no "
+            "tracking error to minimise; min-residual also avoids torques"
         )
     return model
 

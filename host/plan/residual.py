@@ -73,10 +73,16 @@ class ResidualModel:
 
         It can with a network, and with effects beyond tolerance whose residual depends on the state.
         """
-        if self.network is not None:
-            return True
+        return self.network is not None or bool((self._spread(vehicle) > _ROUNDING).any())
+
+    def has_acceleration(self, vehicle: Vehicle) -> bool:
+        """Return whether a path can change the predicted residual acceleration, torque aside."""
+        return self.network is not None or bool((self._spread(vehicle)[:3] > _ROUNDING).any())
+
+    def _spread(self, vehicle: Vehicle) -> Array:
+        """Return the range (3 or 6,) of each row over some states, of the effects beyond tolerance."""
         named = ResidualModel(parts=tuple(part for part in self.parts if part[0].name not in self.adjusted))
-        return bool(np.ptp(named._values(vehicle, _sample_states(vehicle)), axis=1).max() > _ROUNDING)
+        return np.ptp(named._values(vehicle, _sample_states(vehicle)), axis=1)
 
     def rows(
         self, ops: Ops, vehicle: Vehicle, x: Sequence[Any], parts: Sequence[Part] | None = None

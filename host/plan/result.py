@@ -9,12 +9,12 @@ from typing import Literal
 
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.base.errors import Refused, SolverError, UsageError
-from trimtab.host.plan.dynamics import Weights
+from trimtab.host.plan.dynamics import Minimised, Weights
 from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import Reference
 
-Kind = Literal["min-snap", "min-control", "min-residual", "min-control-r"]
+Kind = Literal["min-snap", "min-control", "min-residual", "min-error", "min-control-r"]
 KINDS: Mapping[str, tuple[Kind, bool]] = {
     "min-snap": ("min-snap", False),
     "min-control": ("min-control", False),
@@ -22,8 +22,12 @@ KINDS: Mapping[str, tuple[Kind, bool]] = {
     "min-control*": ("min-control", True),
     "min-residual*": ("min-residual", True),
     "min-control-r": ("min-control-r", True),
+    "min-error": ("min-error", False),
 }
-"""Kind and whether its dynamics are augmented, by the name that the paper gives it."""
+"""Kind and whether its dynamics are augmented, by the name that the paper gives it; min-error is not the
+paper's."""
+MINIMISED: Mapping[Kind, Minimised] = {"min-residual": "residual", "min-error": "error"}
+"""What a kind minimises of what the model predicts; other kinds do not ask the model."""
 
 
 def parse_kind(text: str) -> tuple[Kind, bool]:
@@ -79,9 +83,9 @@ class Plan:
     along it, None without a model. outside_region: share of it outside the trained region, None where that is
     not known. deviation_m: largest distance from the solver's path, None for min-snap. stretch: factor on the
     route's time. lambda_r: the paper's weight of control effort (eq. 10), of the squared rotor thrusts in N^2
-    beside the squared residual in m^2/s^4; None where no residual is minimised. intervals: of the shooting
-    problem. rounds: number of solves. solve_s: processor time. first_solve_s: time of the first round's
-    solver on all its grids, None for min-snap. Only these two vary from run to run.
+    beside the squared residual in m^2/s^4, or the squared error in its unit; None for kinds with neither.
+    intervals: of the shooting problem. rounds: number of solves. solve_s: processor time. first_solve_s: time
+    of the first round's solver on all its grids, None for min-snap. Only these two vary from run to run.
     """
 
     reference: Reference

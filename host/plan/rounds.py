@@ -25,7 +25,7 @@ from trimtab.host.plan.judge import Judged, measure
 from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.residual import ResidualModel
-from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved
+from trimtab.host.plan.result import MINIMISED, Plan, PlanRefused, PlanUnsolved
 from trimtab.host.plan.shooting import (
     NODE_S,
     Grid,
@@ -42,6 +42,7 @@ from trimtab.host.plan.shooting import (
 )
 from trimtab.host.plan.solver import solve
 from trimtab.host.plan.table import from_reference
+from trimtab.host.plan.tracking_error import with_error
 from trimtab.protocol.blobs import YawNode
 
 _YAW_SETTLED = np.radians(2.0)
@@ -121,7 +122,7 @@ def _begin(job: Job, nodes: int | None) -> _Run:
 
 def _scale(job: Job, grid: Grid) -> float:
     """Return the unit of the weights: the mean squared residual along the min-snap path, or 1."""
-    if job.kind != "min-residual" or not job.settings.relative_weights:
+    if job.kind not in MINIMISED or not job.settings.relative_weights:
         return 1.0
     path = job.snap(grid.counts * grid.h0_s)
     rms = measure(job.dynamics.vehicle, job.dynamics.model, path, job.yaws()).residual_rms_m_s2
@@ -145,7 +146,7 @@ class _Run:
         self.box = SolverBox.inside(job.limits, job.yaw_rate_max_rad_s)
         self.engine = Engine(
             job.dynamics.stage_model(
-                minimise_residual=job.kind == "min-residual",
+                minimise=MINIMISED.get(job.kind),
                 free_yaw=self.free_yaw,
                 track_path=first is not None,
             )
@@ -153,7 +154,7 @@ class _Run:
         self._yaws = self._path_yaws = job.yaws() if first is None else first.reference.yaw_nodes()
         self._weights = job.settings.weights.scaled(_scale(job, grid))
         self._rest = np.zeros(6)
-        if job.kind == "min-residual":
+        if job.kind in MINIMISED:
             heading = 0.0 if self.free_yaw else self._yaws[0].yaw
             self._rest = job.dynamics.model.at_rest(job.dynamics.vehicle, heading)
         self.problem: Problem
@@ -169,7 +170,7 @@ class _Run:
     @property
     def lambda_r(self) -> float | None:
         """The paper's weight of control effort, as of `Plan`."""
-        if self.job.kind != "min-residual":
+        if self.job.kind not in MINIMISED:
             return None
         return self._weights.control / self.job.dynamics.hover_n**2
 
@@ -323,6 +324,8 @@ class _Run:
             free_yaw=self.free_yaw,
             tracked_ned=None if self._tracked is None else along(self._tracked, grid.times_s),
         )
+        if MINIMISED.get(job.kind) == "error":
+            problem = with_error(problem)
         if last is None:
             return problem
         # The multipliers of another grid belong to other rows.

@@ -312,14 +312,14 @@ def deviation_m(engine: Engine, problem: Problem, solution: Solution, table: Tab
 def _within(
     engine: Engine, problem: Problem, solution: Solution, shares: tuple[float, ...]
 ) -> tuple[Array, Array]:
-    """Return times and states at these shares of every interval, and at the end: (m,), (16, m)."""
+    """Return times and states at these shares of every interval, and at the end: (m,), (states, m)."""
     intervals = engine.over(problem.h0_s, problem.parameters)
     h = solution.h[problem.leg_of]
     rows = []
     for share in shares:
         intervals.set(solution.x[:, :-1].T, solution.u.T, share * h)
         intervals.values()
-        rows.append(intervals.x_next.dense(STATES)[:, :, 0])
-    states = np.stack(rows, axis=1).reshape(-1, STATES).T
+        rows.append(intervals.x_next.dense(engine.model.nx)[:, :, 0])
+    states = np.stack(rows, axis=1).reshape(-1, engine.model.nx).T
     times = (solution.t_s[:-1, None] + np.array(shares) * np.diff(solution.t_s)[:, None]).ravel()
     return np.append(times, solution.t_s[-1]), np.hstack([states, solution.x[:, -1:]])

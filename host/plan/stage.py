@@ -22,7 +22,6 @@ from trimtab.host.codegen.ops import CASADI
 from trimtab.host.models.network import Layout, Network
 
 NETWORK_INPUTS = slice(3, 9)  # v_ned and Theta in the state
-NETWORK_ROWS = slice(3, 6)  # the acceleration in the state's derivative
 
 _ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
 _WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
@@ -35,7 +34,7 @@ class StageModel:
     derivative(x, u, p): (nx,) continuous dynamics without the network. residual(x, p): 3 rows or more, m/s^2,
     the part of the cost |residual|^2 that is not the network's, or None for no such cost. effort(x, u, p):
     scalar, already weighted. path(x, u, p): rows bounded at every node. network: added to the residual's
-    first 3 rows, and where `augmented` to rows 3:6 of the dynamics.
+    first 3 rows, and in the dynamics to the rows of the derivative in `network_rows`, None for none.
     """
 
     nx: int
@@ -46,7 +45,7 @@ class StageModel:
     effort: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
     path: Callable[[ca.SX, ca.SX, ca.SX], ca.SX]
     network: Network | None
-    augmented: bool
+    network_rows: slice | None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -198,10 +197,10 @@ class _Builder:
                 dx = start + along * (self.step * last.slope_sensitivity + last.slope @ self.dh)
             slope, jacobian, by_input = self._f(x, self.u, self.p)
             network = None
-            if self.model.network is not None and self.model.augmented:
+            if self.model.network is not None and (rows := self.model.network_rows) is not None:
                 network = _network(self.model.network, x[NETWORK_INPUTS])
-                slope = slope + _embed(network.value, NETWORK_ROWS, slice(0, 1), (nx, 1))
-                jacobian = jacobian + _embed(network.jacobian, NETWORK_ROWS, NETWORK_INPUTS, (nx, nx))
+                slope = slope + _embed(network.value, rows, slice(0, 1), (nx, 1))
+                jacobian = jacobian + _embed(network.jacobian, rows, NETWORK_INPUTS, (nx, nx))
             out.append(
                 _Evaluation(
                     x=x,
@@ -244,7 +243,7 @@ class _Builder:
             if model.network is not None:
                 terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
                 d = d + _embed(terms.value, slice(0, 3), slice(0, 1), (rows, 1))
-                back = terms.jacobian.T @ d[:3] if model.augmented else terms.vjp(d[:3])
+                back = terms.vjp(d[:3]) if model.network_rows is None else terms.jacobian.T @ d[:3]
                 vjps = jacobian.T @ d + _embed(back, NETWORK_INPUTS, slice(0, 1), (nx, 1))
                 jacobian = jacobian + _embed(terms.jacobian, slice(0, 3), NETWORK_INPUTS, (rows, nx))
                 self._d_network_hessian = terms.hessian
@@ -305,7 +304,7 @@ class _Builder:
         for evaluation, kappa in zip(self.evaluations, adjoint, strict=True):
             hessian = self._f_hessian(evaluation.x, self.u, self.p, kappa)
             if evaluation.network is not None:
-                block = evaluation.network.hessian(kappa[NETWORK_ROWS])
+                block = evaluation.network.hessian(kappa[self.model.network_rows])
                 hessian = hessian + _embed(
                     block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu)
                 )

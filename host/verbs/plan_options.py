@@ -30,7 +30,8 @@ class PlanOptions:
     kind
         min-snap, min-control or min-residual. A star behind the latter two (min-residual*) makes the model
         part of the dynamics. min-control-r plans min-control, then tracks its path with the model in the
-        dynamics. Default: min-residual if the model predicts a residual, else min-snap.
+        dynamics. min-error minimises the tracking error that the model predicts for the law without
+        feed-forward and observer. Default: min-residual if the model predicts a residual, else min-snap.
     nodes
         Approximate number of shooting intervals, 20 to 1600. Default: one every 70 ms.
     time_s

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.plan.problem import Problem
-from trimtab.host.plan.stage import NETWORK_INPUTS, NETWORK_ROWS, StageModel
+from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel
 
 Array = NDArray[np.float64]
 
@@ -99,8 +99,8 @@ def pieces(model: StageModel) -> Pieces:
     if model.network is not None:
         push = model.network.layout.matrices(ca.DM(model.network.xi), x[NETWORK_INPUTS])
     xdot, cost = rigid(x, u, p), effort(x, u, p)
-    if model.augmented:
-        before, after = NETWORK_ROWS.start, model.nx - NETWORK_ROWS.stop
+    if (rows := model.network_rows) is not None:
+        before, after = rows.start, model.nx - rows.stop
         xdot += ca.vertcat(ca.MX(before, 1), push, ca.MX(after, 1))
     if model.residual is not None:
         residual = ca.Function("residual", [symbols[0], symbols[2]], [model.residual(symbols[0], symbols[2])])

@@ -35,7 +35,15 @@ ROUTE = Route(
     waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),
     total_time_s=4.6,
 )
-ALL_KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-residual", "min-residual*")
+ALL_KINDS = (
+    "min-snap",
+    "min-control",
+    "min-control*",
+    "min-control-r",
+    "min-residual",
+    "min-residual*",
+    "min-error",
+)
 
 
 @functools.cache
@@ -162,6 +170,24 @@ def test_min_residual_is_tracked_better_under_drag_than_min_snap(seed: int) -> N
         _tracking_rmse(plan(route, VEHICLE, kind=kind, model=DRAG)) for kind in ("min-snap", "min-residual")
     ]
     assert errors[1] < 0.8 * errors[0]
+
+
+@pytest.mark.parametrize("seed", [3, pytest.param(4, marks=pytest.mark.full)])
+def test_min_error_is_tracked_better_than_min_residual_below_the_greatest_speed(seed: int) -> None:
+    route = random_route(seed, count=4, total_time_s=6.5)
+    errors = [
+        _tracking_rmse(plan(route, VEHICLE, kind=kind, model=DRAG)) for kind in ("min-residual", "min-error")
+    ]
+    assert errors[1] < 0.95 * errors[0]
+
+
+def test_min_error_refuses_a_model_without_acceleration() -> None:
+    torque = ResidualModel(parts=((EFFECTS["gyroscopic"], (40.0,)),))
+    assert plan(ROUTE, VEHICLE, kind="min-residual", model=torque).kind == "min-residual"
+    with pytest.raises(UsageError, match="no tracking error"):
+        plan(ROUTE, VEHICLE, kind="min-error", model=torque)
+    with pytest.raises(UsageError, match="--model"):
+        plan(ROUTE, VEHICLE, kind="min-error")
 
 
 def _tracking_rmse(made: Plan) -> float:

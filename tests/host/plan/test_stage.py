@@ -13,11 +13,12 @@ from trimtab.host.codegen import CASADI
 from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
-from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Weights
+from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Minimised, Weights
 from trimtab.host.plan.intervals import Engine, Intervals
 from trimtab.host.plan.kernel import kernel_source
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
+from trimtab.host.plan.tracking_error import ERROR_RATE, ERROR_STATES
 from trimtab.host.vehicle import load_vehicle
 
 _EFFECTS = load_effects()
@@ -60,10 +61,6 @@ def _dynamics(
     return Dynamics(vehicle=_VEHICLE, model=model, augmented=augmented)
 
 
-def _stage_model(augmented: bool, frame: Frame | None, minimise: bool, free_yaw: bool = False) -> StageModel:
-    return _dynamics(augmented, frame).stage_model(minimise_residual=minimise, free_yaw=free_yaw)
-
-
 def _network(network: Network, state: ca.SX) -> ca.SX:
     """The network written down plainly."""
     layout = network.layout
@@ -83,8 +80,8 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
 
     def f(state: ca.SX) -> ca.SX:
         slope = model.derivative(state, u, p)
-        if model.augmented:
-            slope = slope + ca.vertcat(ca.SX(3, 1), learned(state), ca.SX(model.nx - 6, 1))
+        if (rows := model.network_rows) is not None:
+            slope = slope + ca.vertcat(ca.SX(rows.start, 1), learned(state), ca.SX(model.nx - rows.stop, 1))
         return slope
 
     step = h * h0
@@ -102,7 +99,7 @@ def _unrolled(model: StageModel) -> tuple[list[ca.SX], ca.SX, ca.SX, ca.SX]:
 
 
 def _points(
-    dynamics: Dynamics, count: int
+    dynamics: Dynamics, count: int, states: int
 ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """x, u, h, h0_s and parameters of intervals, one a column."""
     rng = np.random.default_rng(7)
@@ -111,6 +108,7 @@ def _points(
             2.0 * rng.standard_normal((6, count)),
             0.4 * rng.standard_normal((6, count)),
             rng.uniform(0.5, 1.5, (4, count)),
+            0.1 * np.random.default_rng(8).standard_normal((states - STATES, count)),
         ]
     )
     p = dynamics.parameters(
@@ -136,17 +134,18 @@ def _on_both_engines(*cases: tuple[Any, ...], compiled: tuple[tuple[Any, ...], .
 @pytest.mark.parametrize(
     ("augmented", "frame", "minimise", "engine"),
     _on_both_engines(
-        *itertools.product((True, False), _FRAMES, (True, False)),
-        compiled=((True, None, True), (True, "body", True)),
+        *itertools.product((True, False), _FRAMES, ("residual", None)),
+        *((False, frame, "error") for frame in _FRAMES),
+        compiled=((True, None, "residual"), (True, "body", "residual"), (False, "body", "error")),
     ),
 )
 def test_derivatives_of_intervals_equal_those_of_the_unrolled_step(
-    augmented: bool, frame: Frame | None, minimise: bool, engine: str, require
+    augmented: bool, frame: Frame | None, minimise: Minimised | None, engine: str, require
 ) -> None:
     if engine == "c":
         require("compiler")
     dynamics = _dynamics(augmented, frame)
-    _check_derivatives(dynamics, dynamics.stage_model(minimise_residual=minimise), engine)
+    _check_derivatives(dynamics, dynamics.stage_model(minimise=minimise), engine)
 
 
 @pytest.mark.parametrize("engine", ["vm", pytest.param("c", marks=pytest.mark.full)])
@@ -155,9 +154,11 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
 ) -> None:
     if engine == "c":
         require("compiler")
-    model = _stage_model(True, "body", True, free_yaw=True)
-    assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1
-    _check_derivatives(_dynamics(True, "body"), model, engine)
+    for augmented, minimise in ((True, "residual"), (False, "error")):
+        dynamics = _dynamics(augmented, "body")
+        model = dynamics.stage_model(minimise=minimise, free_yaw=True)
+        assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1
+        _check_derivatives(dynamics, model, engine)
 
 
 @pytest.mark.parametrize(
@@ -187,12 +188,15 @@ def test_derivatives_with_a_residual_of_thrust_and_torque_equal_those_of_the_unr
     d = dynamics.residual(x, ca.SX(dynamics.parameters(np.zeros(1))))
     assert d.shape == (rows, 1)
     assert ca.jacobian(d, x[THRUST]).nnz() > 0
-    model = dynamics.stage_model(minimise_residual=True)
+    model = dynamics.stage_model(minimise="residual")
     _check_derivatives(dynamics, model, engine)
 
 
 def _check_derivatives(dynamics: Dynamics, model: StageModel, engine: str) -> None:
-    assert (model.nx, model.nu) == (STATES, INPUTS)
+    assert (model.nx - (ERROR_STATES if model.network_rows == ERROR_RATE else 0), model.nu) == (
+        STATES,
+        INPUTS,
+    )
     arguments, x_next, cost, path = _unrolled(model)
     z, xu = ca.vertcat(*arguments[:3]), ca.vertcat(*arguments[:2])
     rows = path.shape[0]
@@ -207,7 +211,7 @@ def _check_derivatives(dynamics: Dynamics, model: StageModel, engine: str) -> No
         ],
     )  # fmt: skip
     count = 11  # no multiple of the lanes
-    x, u, h, h0_s, p = _points(dynamics, count)
+    x, u, h, h0_s, p = _points(dynamics, count, model.nx)
     rng = np.random.default_rng(5)
     weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
     made = Engine(model, engine)
@@ -227,17 +231,18 @@ def _evaluated(
     intervals.set(*where)
     intervals.values()
     intervals.slopes()
-    gradient = intervals.cost_slope.dense(STATES + INPUTS + 1)
+    states = where[0].shape[1]
+    nz = states + INPUTS + 1
+    gradient = intervals.cost_slope.dense(nz)
     intervals.gradient()
-    np.testing.assert_array_equal(intervals.cost_slope.dense(STATES + INPUTS + 1), gradient)
+    np.testing.assert_array_equal(intervals.cost_slope.dense(nz), gradient)
     intervals.compute_hessian(1.3, *weights)
-    nz = STATES + INPUTS + 1
     return [
-        intervals.x_next.dense(STATES),
+        intervals.x_next.dense(states),
         intervals.cost.dense(1),
         intervals.path.dense(rows),
         gradient,
-        intervals.x_slope.dense(STATES, nz),
+        intervals.x_slope.dense(states, nz),
         intervals.path_slope.dense(rows, nz - 1),
         intervals.hessian.dense(nz, nz),
     ]
@@ -252,7 +257,7 @@ def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
         network=Network(layout=layout, xi=np.ones(layout.size)),
     )
     models = [
-        Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(minimise_residual=True)
+        Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(minimise="residual")
         for model in (first.model, other)
     ]
     assert kernel_source(models[0]) == kernel_source(models[1])
@@ -262,9 +267,7 @@ def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> No
     dynamics = _dynamics(True, None)
     tracked = np.array([[1.0], [2.0], [-1.5]])
     p = dynamics.parameters(np.zeros(1), weights=Weights(tracking=7.0), tracked_ned=tracked)
-    plain, tracking = (
-        dynamics.stage_model(minimise_residual=False, track_path=track) for track in (False, True)
-    )
+    plain, tracking = (dynamics.stage_model(minimise=None, track_path=track) for track in (False, True))
     x = dynamics.steady(0.0)
     x[:3] = (1.5, 2.0, -1.0)
     cost = [
@@ -276,7 +279,10 @@ def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> No
 
 
 def test_stage_functions_of_the_same_model_have_the_same_instructions() -> None:
-    first, second = (build_stage(_stage_model(True, "world", True)) for _ in range(2))
+    def model() -> StageModel:
+        return _dynamics(True, "world").stage_model(minimise="residual")
+
+    first, second = (build_stage(model()) for _ in range(2))
     assert first.hessian.serialize() == second.hessian.serialize()
 
 

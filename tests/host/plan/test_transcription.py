@@ -38,7 +38,7 @@ def _cart() -> StageModel:
         effort=lambda x, u, p: p[0] * u[0] * u[0],
         path=lambda x, u, p: x[1],
         network=None,
-        augmented=False,
+        network_rows=None,
     )
 
 
@@ -84,7 +84,7 @@ def _point() -> StageModel:
         effort=lambda x, u, p: ca.dot(u, u),
         path=lambda x, u, p: ca.dot(u, u),
         network=None,
-        augmented=False,
+        network_rows=None,
     )
 
 
