@@ -15,7 +15,7 @@ USER_1 = 31010
 
 
 class Files:
-    """mavftp on a ground station. An operation whose reply was lost is done again, as a person would."""
+    """mavftp on a ground station. An operation that lost a message is done again, as a person would."""
 
     def __init__(self, station: Any) -> None:
         from pymavlink import mavftp
@@ -24,9 +24,11 @@ class Files:
         self._ftp = mavftp.MAVFTP(station.link, 1, 1)
 
     def put(self, file: Path, path: str) -> None:
+        """Write a file. mavftp never repeats a lost CreateFile: it writes, and no session is open."""
         while True:
             self._ftp.cmd_put([str(file), path])
-            if self._done(self._ftp.process_ftp_reply("put", timeout=30)):
+            answer = self._ftp.process_ftp_reply("put", timeout=30)
+            if answer.error_code != self._error.InvalidSession and self._done(answer):
                 return
 
     def get(self, path: str, file: Path) -> bytes:
