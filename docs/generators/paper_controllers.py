@@ -11,12 +11,14 @@ from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.apps.paper.controllers.claims import WORDS
 from trimtab.host.apps.paper.controllers.design import COURSES, SPEEDS
 from trimtab.host.apps.paper.controllers.models import PAPER_SETTINGS, TRAINING_COURSES
 from trimtab.host.apps.paper.controllers.needs import COUNTS, EXCITATIONS, TARGET
 from trimtab.host.apps.paper.controllers.pieces import PAPER_DURATION_S
 from trimtab.host.apps.paper.controllers.statistics import FAILED_M
-from trimtab.host.apps.paper.controllers.tables import tables
+from trimtab.host.apps.paper.controllers.table import FAMILIES, REGRESSORS
+from trimtab.host.apps.paper.controllers.tables import interval, tables
 from trimtab.host.apps.paper.planning.compare import NODES, PACES
 from trimtab.host.apps.paper.text import markdown, wrapped
 
@@ -36,6 +38,14 @@ Results of seed {seed}, {worlds}, commit {git}, {flights} flights of the balance
 
 """
 
+_UNCONFIRMED = """## Claims of the paper that these flights do not confirm
+
+An effect is a ratio of errors, below 1 where the claim holds.
+
+{claims}
+
+"""
+
 _METHOD = """## Method
 
 **Controllers.** [How the controllers work](../concepts/controllers.md) describes them. The flatness-based
@@ -46,7 +56,9 @@ acceleration (Neural-C). *Traced* has the closed form of the drag alone in place
 has no such controller.
 
 **Trajectories.** Min-Snap, Min-Control, Min-Control-R, Min-Residual and Min-Residual* of a course have the
-same waypoints, time and limits.
+same waypoints, time and limits. *min-error*, which is not the paper's, minimises the
+[tracking error](../concepts/planning.md#residual-or-tracking-error) that the residual causes in the loop of
+the baseline; only the baseline flies it.
 
 **Regressors.** *paper*: an MLP 2 x 32 on velocity and Euler angles in the world frame, learned as in section
 V-A: Adam at {rate:g}, segments of 50 nodes, batches of {batch}, {epochs} epochs, starts as measured. *ours*:
@@ -60,13 +72,16 @@ least time in which Min-Snap keeps the limits, times {speeds}. A cell is a cours
 of four sets, DFBC or MPC with the paper's or our regressor, with all controllers of the set on all five
 trajectories. The set is (course + speed) mod 4, a Youden square: in every world each set flies once at each
 speed, on three different courses, and each pair of sets shares two courses. All flights of a cell share
-noise, turbulence and battery. Cells of the MPC also fly the baseline on three trajectories.
+noise, turbulence and battery. The baseline also flies in the cells of the MPC, on four trajectories.
 
 **A course like the paper's.** {duration:g} s, {nodes} nodes, lambda_r = 0.1. Three such courses, in a world
-of their own, fly every controller on every trajectory. They select the trajectory of the baseline, and the
-best controller and trajectory. What they select is measured on the held-out courses. One of them also flies
-with a wired host, as in the paper's simulation (`wired`), and in a world of seven effects (`rich`). These two
-select nothing.
+of their own, fly every controller on every trajectory. They select the best controller and trajectory. One of
+them also flies with a wired host, as in the paper's simulation (`wired`), and in a world of seven effects
+(`rich`). These two select nothing.
+
+**Trajectory of the baseline.** In the same world, three other courses at the three speeds, planned with the
+settings of the balanced design, select a residual trajectory and a regressor for the baseline. What tuning
+courses select is measured on the held-out courses.
 
 **Statistics.** The unit is the course. Effects are ratios of mean tracking errors in the same cell, their
 median within a course, and the median over courses. Intervals are 95 % of bootstraps over courses. Tests are
@@ -77,7 +92,9 @@ than the diagonal of the room, in every figure, and is listed below.
 **What a network needs.** Networks learn from {counts} flights, gentle (paces {gentle}) or aggressive (paces
 {aggressive}), in the world or the body frame, with the default method of `trimtab learn` and without a closed
 form of the drag. The measure is the error of the baseline on Min-Residual over that on Min-Snap on held-out
-courses; {target:g} counts as reached. Where one of them failed, the ratio counts as {failed:g}.
+courses; {target:g} counts as reached. A plan keeps to the region of the training flights. Where no such plan
+exists, it ignores the region, and the network extrapolates. Where a plan or flight failed, the ratio counts
+as {failed:g}.
 
 """
 
@@ -93,7 +110,17 @@ def page(report: Mapping[str, Any]) -> str:
         quick=" This is a quick check, not for the record." if report["quick"] else "",
     )
     sections = [f"### {title}\n\n{markdown(rows)}\n" for title, rows in tables(report).items()]
-    return f"{wrapped(head)}{_method()}## Results\n\n" + "\n".join(sections)
+    return f"{wrapped(head)}{_unconfirmed(report)}{_method()}## Results\n\n" + "\n".join(sections)
+
+
+def _unconfirmed(report: Mapping[str, Any]) -> str:
+    lines = [
+        f"- {WORDS[row['claim']]}: {FAMILIES[row['family']]} with {REGRESSORS[row['regressor']]}, "
+        f"{interval(row['effect'], row['ci95'])}"
+        for row in report["claims"]
+        if not row["confirmed"] and row["ci95"] is not None
+    ]
+    return _UNCONFIRMED.format(claims="\n".join(lines)) if lines else ""
 
 
 def _method() -> str:

@@ -303,8 +303,8 @@ class _Builder:
         total = ca.SX(nz, nz)
         for evaluation, kappa in zip(self.evaluations, adjoint, strict=True):
             hessian = self._f_hessian(evaluation.x, self.u, self.p, kappa)
-            if evaluation.network is not None:
-                block = evaluation.network.hessian(kappa[self.model.network_rows])
+            if evaluation.network is not None and (rows := model.network_rows) is not None:
+                block = evaluation.network.hessian(kappa[rows])
                 hessian = hessian + _embed(
                     block, NETWORK_INPUTS, NETWORK_INPUTS, (nx + model.nu, nx + model.nu)
                 )

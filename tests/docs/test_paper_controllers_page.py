@@ -22,7 +22,7 @@ def outcome() -> dict[str, Any]:
 
 def test_page_holds_every_cell_of_every_table(outcome: dict[str, Any]) -> None:
     lines = page({**outcome["answer"], "provenance": PROVENANCE}).splitlines()
-    assert len(outcome["tables"]) == 13
+    assert len(outcome["tables"]) == 14
     for title, rows in outcome["tables"].items():
         start = lines.index(f"### {title}") + 4
         assert lines[start : start + len(rows)] == [f"| {' | '.join(row.values())} |" for row in rows]
@@ -32,9 +32,20 @@ def test_page_says_seed_commit_and_size_in_short_lines(outcome: dict[str, Any]) 
     text = page({**outcome["answer"], "provenance": PROVENANCE})
     assert "    trimtab study paper-controllers --seed 12\n" in text
     prose = " ".join(text.split())
-    assert "Results of seed 12, 2 worlds, commit 0123456789ab, 606 flights of the balanced design." in prose
+    assert "Results of seed 12, 2 worlds, commit 0123456789ab, 570 flights of the balanced design." in prose
     assert "quick check" not in text
     assert max(len(line) for line in text.splitlines() if not line.startswith("|")) <= 120
+
+
+def test_page_begins_with_the_claims_that_are_not_confirmed(outcome: dict[str, Any]) -> None:
+    answer = {**outcome["answer"], "provenance": PROVENANCE}
+    heading = "## Claims of the paper that these flights do not confirm"
+    assert heading not in page(answer)
+    first, *others = answer["claims"]
+    lost = {**first, "confirmed": False, "effect": 1.25, "ci95": [1.1, 1.4]}
+    text = page({**answer, "claims": [lost, *others]})
+    assert text.index(heading) < text.index("## Method")
+    assert "with neural feed-forward: DFBC with the paper's regressor, 1.25 (1.10-1.40)" in text
 
 
 def test_page_of_a_quick_run_says_so(outcome: dict[str, Any]) -> None:

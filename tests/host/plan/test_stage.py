@@ -154,7 +154,8 @@ def test_derivatives_of_intervals_with_a_free_heading_equal_those_of_the_unrolle
 ) -> None:
     if engine == "c":
         require("compiler")
-    for augmented, minimise in ((True, "residual"), (False, "error")):
+    cases: tuple[tuple[bool, Minimised], ...] = ((True, "residual"), (False, "error"))
+    for augmented, minimise in cases:
         dynamics = _dynamics(augmented, "body")
         model = dynamics.stage_model(minimise=minimise, free_yaw=True)
         assert model.path(*(ca.SX.zeros(n) for n in (model.nx, model.nu, model.np))).numel() == PATH_ROWS + 1

@@ -12,9 +12,8 @@ treatments (v = b = 4, k = r = 3, lambda = 2). In every world, each set flies on
 different courses, and each pair of sets shares two courses. Every controller of every set therefore flies
 every trajectory equally often, at every speed and in every world.
 
-A cell of the MPC also flies the baseline on the trajectories of ANCHORS. The baseline on min-snap is thus in
-every cell, and the error ratio of the baseline rests on all courses. These flights are not in the rows of
-the design.
+The baseline also flies those of BASELINE_TRAJECTORIES that it does not fly in the cell's set, as anchors. The
+error ratio of the baseline thus rests on all courses. These flights are not in the rows of the design.
 """
 
 from __future__ import annotations
@@ -24,10 +23,9 @@ from dataclasses import dataclass
 
 from trimtab.host.apps.paper.controllers.table import (
     BASELINE,
-    MIN_RESIDUAL,
-    MIN_RESIDUAL_STAR,
-    MIN_SNAP,
+    BASELINE_TRAJECTORIES,
     SETS,
+    TRAJECTORIES,
     Set,
 )
 
@@ -35,7 +33,6 @@ COURSES = len(SETS)
 """Courses of a world."""
 SPEEDS = {"fast": 1.0, "middle": 1.25, "slow": 1.6}
 """Time of a course at each speed, over the least time in which min-snap keeps the limits."""
-ANCHORS = (MIN_SNAP, MIN_RESIDUAL, MIN_RESIDUAL_STAR)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -49,7 +46,8 @@ class Cell:
     @property
     def anchors(self) -> Sequence[str]:
         """The trajectories that the baseline flies in addition."""
-        return () if BASELINE in self.flown.controllers else ANCHORS
+        flown = TRAJECTORIES if BASELINE in self.flown.controllers else ()
+        return tuple(kind for kind in BASELINE_TRAJECTORIES if kind not in flown)
 
 
 def cells(course: int) -> tuple[Cell, ...]:

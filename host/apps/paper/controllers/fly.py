@@ -12,7 +12,14 @@ import numpy as np
 
 from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.paper.controllers.models import Site
-from trimtab.host.apps.paper.controllers.table import BASELINE, TRAJECTORIES, Controller, Regressor, Set
+from trimtab.host.apps.paper.controllers.table import (
+    BASELINE,
+    BASELINE_TRAJECTORIES,
+    TRAJECTORIES,
+    Controller,
+    Regressor,
+    Set,
+)
 from trimtab.host.base.errors import Refused, SolverError, UsageError
 from trimtab.host.control.files import load_controller
 from trimtab.host.control.interface import Controller as HostController
@@ -24,11 +31,13 @@ from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan, Settings, plan
 from trimtab.host.plan.flown import fly_plan
+from trimtab.host.plan.table import evaluate, from_reference
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
 
 Row = dict[str, Any]
+_JERK_SAMPLES = 1001
 
 
 class TimedController:
@@ -142,13 +151,22 @@ def fly_set(site: Site, course: Course, flown: Set, logs: Path, anchors: Sequenc
     `logs`.
     """
     logs.mkdir(parents=True, exist_ok=True)
-    plans = course.plans(site.field.vehicle, site.models[flown.regressor])
+    kinds = tuple(dict.fromkeys((*TRAJECTORIES, *anchors)))
+    plans = course.plans(site.field.vehicle, site.models[flown.regressor], kinds)
+    in_set = {kind: plans[kind] for kind in TRAJECTORIES}
     rows = []
     for controller in flown.controllers:
-        rows += list(fly_controller(site, course, controller, flown.regressor, plans, logs))
+        rows += list(fly_controller(site, course, controller, flown.regressor, in_set, logs))
     chosen = {kind: plans[kind] for kind in anchors}
     extra = fly_controller(site, course, BASELINE, flown.regressor, chosen, logs)
     return [row | {"anchor": False} for row in rows] + [row | {"anchor": True} for row in extra]
+
+
+def fly_baseline(site: Site, course: Course, regressor: Regressor, logs: Path) -> list[Row]:
+    """Return a row for each trajectory of the baseline, planned with a regressor."""
+    logs.mkdir(parents=True, exist_ok=True)
+    plans = course.plans(site.field.vehicle, site.models[regressor], BASELINE_TRAJECTORIES)
+    return list(fly_controller(site, course, BASELINE, regressor, plans, logs))
 
 
 def fly_controller(
@@ -172,7 +190,7 @@ def fly_controller(
             found = {"failed": f"controller: {flies}"}
         else:
             stem = f"{course.route.name}-{controller.name}-{regressor}-{kind.replace('*', 's')}"
-            found = _fly(site, course, flies, made, logs / f"{stem}.mcap")
+            found = _fly(site, course, flies, made, logs / f"{stem}.mcap") | {"jerk_rms_m_s3": jerk_rms(made)}
         yield row | {"trajectory": kind} | found
 
 
@@ -198,6 +216,13 @@ def _fly(site: Site, course: Course, flies: Pilot, made: Plan, log: Path) -> Row
         "clipped_share": flight.clipped_share,
         **times,
     }
+
+
+def jerk_rms(made: Plan) -> float:
+    """Return the RMS of the norm of a plan's jerk, m/s^3."""
+    table = from_reference(made.reference)
+    times_us = np.linspace(0.0, float(table.times_us[-1]), _JERK_SAMPLES)
+    return float(np.sqrt((evaluate(table, times_us)[3] ** 2).sum(axis=0).mean()))
 
 
 def remove_log(log: Path) -> None:

@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -20,7 +21,7 @@ from trimtab.host.effects.linear_drag import EFFECT as LINEAR_DRAG
 from trimtab.host.learn import DEFAULT_FORMS, CondensedSettings, learn
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.network import Frame, Layout
-from trimtab.host.plan import Settings
+from trimtab.host.plan import Plan, Settings
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 
@@ -47,7 +48,8 @@ def needs(
     """Learn networks from training flights of one excitation, and fly min-residual with each.
 
     The networks take the place of the closed form of the drag; the torque keeps its closed form. Training
-    flights and courses are the same for both excitations.
+    flights and courses are the same for both excitations. Where the region of the training flights allows no
+    plan, the plan ignores it.
     """
     place = f"needs-{world}"
     field, effects = airfield(vehicle, seed, WORLDS[RADIO], place), load_effects()
@@ -77,7 +79,7 @@ def needs(
                     as_asked=True,
                 )
             except TooLittleData as error:
-                flown = [{"failed": f"learning: {error}"}] * courses
+                flown = [{"failed": f"learning: {error}", "within_region": False}] * courses
             else:
                 site = Site(
                     field=field, models={"ours": found.model}, effects=effects, selected=found.selected.what
@@ -93,10 +95,15 @@ def needs(
 def _fly(site: Site, route: Route, index: int, logs: Path) -> Row:
     """Return the errors of the baseline on min-snap and min-residual, and why one is missing, or None."""
     course = Course(route=route, flight=_FLIGHT_FIRST + index, settings=Settings())
-    plans = course.plans(site.field.vehicle, site.models["ours"], (MIN_SNAP, MIN_RESIDUAL))
+    vehicle, model = site.field.vehicle, site.models["ours"]
+    plans = course.plans(vehicle, model, (MIN_SNAP, MIN_RESIDUAL))
+    within_region = isinstance(plans[MIN_RESIDUAL], Plan)
+    if not within_region:
+        plans |= course.plans(vehicle, replace(model, region=None), (MIN_RESIDUAL,))
     rows = {row["trajectory"]: row for row in fly_controller(site, course, BASELINE, "ours", plans, logs)}
     return {
         "failed": next((row["failed"] for row in rows.values() if row["failed"] is not None), None),
+        "within_region": within_region,
         "min_snap_m": rows[MIN_SNAP].get("error_mean_m"),
         "min_residual_m": rows[MIN_RESIDUAL].get("error_mean_m"),
     }

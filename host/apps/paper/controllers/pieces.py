@@ -6,9 +6,9 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.apps.paper.controllers.design import SPEEDS, cells
-from trimtab.host.apps.paper.controllers.fly import Course, Row, fly_set, remove_log
+from trimtab.host.apps.paper.controllers.fly import Course, Row, fly_baseline, fly_set, remove_log
 from trimtab.host.apps.paper.controllers.models import Site, learned_site
-from trimtab.host.apps.paper.controllers.table import SETS
+from trimtab.host.apps.paper.controllers.table import REGRESSORS, SETS
 from trimtab.host.apps.paper.planning.compare import NODES, paper_settings
 from trimtab.host.apps.paper.planning.courses import BOX_M, WAYPOINTS, draw, draw_course
 from trimtab.host.base.errors import Refused
@@ -22,7 +22,7 @@ RADIO, WIRED, RICH = "radio", "wired", "rich"
 WORLDS = {RADIO: "paper-drag", WIRED: "paper-drag-wired", RICH: "rich"}
 """World of each setting: drag through the radio, or wired as in the paper's simulation, or seven effects."""
 PAPER_DURATION_S = 10.0
-_FULL_FIRST, _CELL_FIRST, _FRONT_FIRST = 101, 201, 301
+_FULL_FIRST, _CELL_FIRST, _FRONT_FIRST, _SELECT_FIRST = 101, 201, 301, 501
 """Flight indices; those below belong to training flights."""
 _TRIES = 200
 
@@ -33,7 +33,7 @@ def full(
     """Fly a course like the paper's by every controller on every trajectory.
 
     10 s, 400 nodes of 0.025 s, lambda_r = 0.1 (section V-B). Its world and courses are not those of the
-    balanced design: these flights select what the design then measures.
+    balanced design: these flights select the best pair, which the design then measures.
     """
     place = f"tuning-{setting}"
     site = learned_site(folder / place, vehicle, seed, WORLDS[setting], place)
@@ -45,6 +45,24 @@ def full(
     )
     rows = [row for each in SETS for row in fly_set(site, flown, each, logs)]
     return {"kind": "full", "course": course, "setting": setting, "selected": site.selected, "rows": rows}
+
+
+def select(folder: Path, logs: Path, vehicle: Vehicle, seed: int, *, course: int) -> dict[str, Any]:
+    """Fly the baseline on a tuning course at every speed, with the settings of the balanced design.
+
+    These flights select the baseline's trajectory and regressor.
+    """
+    place = f"tuning-{RADIO}"
+    site = learned_site(folder / place, vehicle, seed, WORLDS[RADIO], place)
+    route = held_out(vehicle, seed, place, course)
+    rows: list[Row] = []
+    for k, (speed, scale) in enumerate(SPEEDS.items()):
+        flight = _SELECT_FIRST + len(SPEEDS) * course + k
+        at_speed = Course(route=timed(route, scale), flight=flight, settings=Settings())
+        for regressor in REGRESSORS:
+            flown = fly_baseline(site, at_speed, regressor, logs / speed)
+            rows += [row | {"speed": speed} for row in flown]
+    return {"kind": "select", "course": course, "selected": site.selected, "rows": rows}
 
 
 def paper_course(vehicle: Vehicle, seed: int, index: int) -> Route:
@@ -113,7 +131,7 @@ def front(
 
 
 def held_out(vehicle: Vehicle, seed: int, place: str, course: int) -> Route:
-    """Return a held-out course of a place, in the least time in which min-snap keeps the limits."""
+    """Return a course of a place to fly, in the least time in which min-snap keeps the limits."""
     return draw_course(vehicle, seed, course, f"controllers-flown-{place}").route
 
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from trimtab.host.apps.paper.controllers.design import COURSES
 from trimtab.host.apps.paper.controllers.needs import COUNTS, EXCITATIONS, needs
-from trimtab.host.apps.paper.controllers.pieces import RADIO, RICH, WIRED, balanced, front, full
+from trimtab.host.apps.paper.controllers.pieces import RADIO, RICH, WIRED, balanced, front, full, select
 from trimtab.host.apps.paper.controllers.summary import summary
 from trimtab.host.apps.paper.section import study_of
 from trimtab.host.base.pieces import Piece
@@ -23,12 +23,13 @@ WORLDS = 5
 class Scope:
     """Size of a study.
 
-    full: courses like the paper's in each setting. courses: of the balanced design, in each world. front:
-    courses of each world for the weights' front. needs: worlds of networks to learn. needs_courses: that each
-    network's plans are flown on.
+    full: courses like the paper's in each setting. select: tuning courses that select the baseline's
+    trajectory. courses: of the balanced design, in each world. front: courses of each world for the weights'
+    front. needs: worlds of networks to learn. needs_courses: that each network's plans are flown on.
     """
 
     full: Mapping[str, int]
+    select: int
     courses: int
     front: int
     needs: int
@@ -37,9 +38,15 @@ class Scope:
 
 
 FULL = Scope(
-    full={RADIO: 3, WIRED: 1, RICH: 1}, courses=COURSES, front=2, needs=2, counts=COUNTS, needs_courses=3
+    full={RADIO: 3, WIRED: 1, RICH: 1},
+    select=3,
+    courses=COURSES,
+    front=2,
+    needs=2,
+    counts=COUNTS,
+    needs_courses=3,
 )
-QUICK = Scope(full={RADIO: 1}, courses=1, front=1, needs=1, counts=COUNTS[:1], needs_courses=1)
+QUICK = Scope(full={RADIO: 1}, select=1, courses=1, front=1, needs=1, counts=COUNTS[:1], needs_courses=1)
 
 
 def plan_pieces(worlds: int, scope: Scope) -> list[Piece]:
@@ -51,8 +58,13 @@ def plan_pieces(worlds: int, scope: Scope) -> list[Piece]:
 
 
 def _full(scope: Scope) -> list[Piece]:
+    """Return the tuning courses: those like the paper's, and those that select the baseline's trajectory."""
     courses = [(k, setting) for setting, count in scope.full.items() for k in range(count)]
-    return [
+    selecting = [
+        Piece(name=f"select-{k}", kind="select", arguments={"course": k}, weight=30.0)
+        for k in range(scope.select)
+    ]
+    return selecting + [
         Piece(
             name=f"full-{setting}-{k}", kind="full", arguments={"course": k, "setting": setting}, weight=100.0
         )
@@ -108,7 +120,7 @@ def do(piece: Piece, folder: str, *, vehicle: str, seed: int) -> Any:
     logs = place / "logs" / piece.name
     if piece.kind == "needs":
         return needs(logs, craft, seed, **piece.arguments)
-    work = {"full": full, "balanced": balanced, "front": front}[piece.kind]
+    work = {"full": full, "select": select, "balanced": balanced, "front": front}[piece.kind]
     return work(place / "worlds", logs, craft, seed, **piece.arguments)
 
 

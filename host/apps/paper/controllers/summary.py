@@ -10,13 +10,13 @@ import numpy as np
 from trimtab.host.apps.paper.controllers.claims import Cell, cells_of, claims, on_all, over_courses
 from trimtab.host.apps.paper.controllers.needs import TARGET
 from trimtab.host.apps.paper.controllers.pieces import RADIO
-from trimtab.host.apps.paper.controllers.statistics import FAILED_M, effect, error_m, holm, interval
+from trimtab.host.apps.paper.controllers.statistics import FAILED_M, Effect, effect, error_m, holm, interval
 from trimtab.host.apps.paper.controllers.table import (
     BASELINE,
+    BASELINE_TRAJECTORIES,
     CONTROLLERS,
-    MIN_RESIDUAL,
-    MIN_RESIDUAL_STAR,
     MIN_SNAP,
+    REGRESSORS,
     SETS,
     TRAJECTORIES,
 )
@@ -33,16 +33,23 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Mapping[str, Any]]) -
     results = {name: piece["result"] for name, piece in found.items()}
     by_kind = {
         kind: [result for result in results.values() if result["kind"] == kind]
-        for kind in ("full", "balanced", "front", "needs")
+        for kind in ("full", "select", "balanced", "front", "needs")
     }
     cells = cells_of(by_kind["balanced"])
     tuning = [row for result in by_kind["full"] if result["setting"] == RADIO for row in result["rows"]]
+    selecting = [row for result in by_kind["select"] for row in result["rows"]]
     steps = step_times(by_kind["balanced"])
     figures: Row = {
-        "flights": sum("error_mean_m" in row for result in by_kind["balanced"] for row in result["rows"]),
+        "flights": sum(
+            "error_mean_m" in row and not row["anchor"]
+            for result in by_kind["balanced"]
+            for row in result["rows"]
+        ),
         "rows": rows_of(cells, by_kind["balanced"]),
         "claims": claims(cells),
-        **chosen(tuning, cells),
+        "error_ratio_baseline": of_baseline(selecting, cells),
+        "baseline": baseline_rows(cells, by_kind["balanced"]),
+        "best": best_pair(tuning, cells),
         "steps": steps,
         "mpc_step_ms_p99": max((row["p99_ms"] for row in steps), default=None),
         "closed_form_in_mpc": closed_form_in_mpc(cells),
@@ -98,32 +105,66 @@ def rows_of(cells: Sequence[Cell], results: Sequence[Result]) -> list[Row]:
     return rows
 
 
-def chosen(tuning: Sequence[Row], cells: Sequence[Cell]) -> Row:
-    """Return what the tuning flights select, and its error ratios on the held-out courses.
+def of_baseline(selecting: Sequence[Row], cells: Sequence[Cell]) -> Row | None:
+    """Return the baseline's residual trajectory that the tuning flights select, measured on held-out courses.
 
-    Selected is the least mean logarithm of the error: a residual trajectory for the baseline, and a
-    controller with a trajectory.
+    Selected is the least mean logarithm of the error.
     """
-    scores: dict[tuple[str, str, str], list[float]] = {}
-    for row in tuning:
-        if not row["anchor"]:
-            key = row["regressor"], row["controller"], row["trajectory"]
-            scores.setdefault(key, []).append(float(np.log(error_m(row))))
-    ranked = sorted(scores, key=lambda key: float(np.mean(scores[key])))
-    residual = [
-        key for key in ranked if key[1] == BASELINE.name and key[2] in (MIN_RESIDUAL, MIN_RESIDUAL_STAR)
-    ]
+    ranked = _ranked([row for row in selecting if row["trajectory"] != MIN_SNAP])
     if not ranked:
-        return {"error_ratio_baseline": None, "best": None}
-    regressor, _, kind = residual[0]
-    of_baseline = over_courses(
+        return None
+    regressor, _, kind = ranked[0]
+    return {"regressor": regressor, "trajectory": kind, **_over_min_snap(cells, regressor, kind).to_json()}
+
+
+def _over_min_snap(cells: Sequence[Cell], regressor: str, kind: str) -> Effect:
+    """Return the effect of a trajectory over min-snap for the baseline, planned with a regressor."""
+    return over_courses(
         [cell for cell in cells if cell.flown.regressor == regressor],
         lambda cell: [cell.baseline(kind) / cell.baseline_m],
     )
-    return {
-        "error_ratio_baseline": {"regressor": regressor, "trajectory": kind, **of_baseline.to_json()},
-        "best": _best(ranked[0], cells),
-    }
+
+
+def baseline_rows(cells: Sequence[Cell], results: Sequence[Result]) -> list[Row]:
+    """Return error and jerk of each of the baseline's trajectories, planned with each regressor."""
+    flown = [row for result in results for row in result["rows"] if row["controller"] == BASELINE.name]
+    rows = []
+    for regressor in REGRESSORS:
+        for kind in BASELINE_TRAJECTORIES:
+            errors = [cell.baseline(kind) for cell in cells if cell.flown.regressor == regressor]
+            jerks = [
+                row["jerk_rms_m_s3"]
+                for row in flown
+                if (row["regressor"], row["trajectory"]) == (regressor, kind) and "jerk_rms_m_s3" in row
+            ]
+            rows.append(
+                {
+                    "regressor": regressor,
+                    "trajectory": kind,
+                    "error_mean_m": float(np.median(errors)) if errors else None,
+                    "jerk_rms_m_s3": float(np.median(jerks)) if jerks else None,
+                    "over_min_snap": _over_min_snap(cells, regressor, kind).to_json(),
+                }
+            )
+    return rows
+
+
+def best_pair(tuning: Sequence[Row], cells: Sequence[Cell]) -> Row | None:
+    """Return the pair that the courses like the paper's select, measured on held-out courses.
+
+    Selected is the least mean logarithm of the error.
+    """
+    ranked = _ranked([row for row in tuning if not row["anchor"]])
+    return _best(ranked[0], cells) if ranked else None
+
+
+def _ranked(rows: Sequence[Row]) -> list[tuple[str, str, str]]:
+    """Return regressor, controller and trajectory of the rows, by the mean logarithm of their errors."""
+    scores: dict[tuple[str, str, str], list[float]] = {}
+    for row in rows:
+        key = row["regressor"], row["controller"], row["trajectory"]
+        scores.setdefault(key, []).append(float(np.log(error_m(row))))
+    return sorted(scores, key=lambda key: float(np.mean(scores[key])))
 
 
 def _best(key: tuple[str, str, str], cells: Sequence[Cell]) -> Row:
@@ -191,10 +232,12 @@ def needs_rows(results: Sequence[Result]) -> list[Row]:
     """Return the error ratio of min-residual over min-snap for each way to learn a network."""
     by_setting: dict[tuple[str, str, int], dict[tuple[int, int], list[float]]] = {}
     failed: dict[tuple[str, str, int], int] = {}
+    inside: dict[tuple[str, str, int], int] = {}
     for result in results:
         for row in result["rows"]:
             key = row["frame"], result["excitation"], row["flights"]
             failed[key] = failed.get(key, 0) + (row["failed"] is not None)
+            inside[key] = inside.get(key, 0) + row["within_region"]
             ratio = FAILED_M if row["failed"] is not None else row["min_residual_m"] / row["min_snap_m"]
             by_setting.setdefault(key, {})[result["world"], row["course"]] = [ratio]
     rows = []
@@ -206,6 +249,7 @@ def needs_rows(results: Sequence[Result]) -> list[Row]:
                 "excitation": key[1],
                 "training_flights": key[2],
                 "failed": failed[key],
+                "within_region": inside[key],
                 **found.to_json(),
                 "reached": found.median is not None and found.median <= TARGET,
             }

@@ -16,7 +16,11 @@ REGRESSORS: Mapping[Regressor, str] = {"paper": "the paper's regressor", "ours":
 """Families and regressors with their titles."""
 CLOSED_FORM = "closed-form"
 MIN_SNAP, MIN_RESIDUAL, MIN_RESIDUAL_STAR = "min-snap", "min-residual", "min-residual*"
+MIN_ERROR = "min-error"
 TRAJECTORIES = (MIN_SNAP, "min-control", "min-control-r", MIN_RESIDUAL, MIN_RESIDUAL_STAR)
+"""The paper's."""
+BASELINE_TRAJECTORIES = (MIN_SNAP, MIN_RESIDUAL, MIN_RESIDUAL_STAR, MIN_ERROR)
+"""Flown by the baseline on every course. min-error is not the paper's: it is for the baseline's gains."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -17,6 +17,7 @@ def tables(figures: Mapping[str, Any]) -> dict[str, list[Cells]]:
     made = {
         "The paper's claims; effects are ratios of errors": _claims(figures["claims"]),
         "Selected on tuning courses, over the baseline on Min-Snap on held-out courses": _chosen(figures),
+        "The baseline on all held-out courses": _baseline(figures["baseline"]),
     }
     for flown in SETS:
         title = f"{flown.title}: median error, mm"
@@ -78,6 +79,21 @@ def _chosen(figures: Mapping[str, Any]) -> list[Cells]:
                 }
             )
     return rows
+
+
+def _baseline(rows: Sequence[Mapping[str, Any]]) -> list[Cells]:
+    return [
+        {
+            "regressor": row["regressor"],
+            "trajectory": row["trajectory"],
+            "median error, mm": number(1e3 * row["error_mean_m"], ".0f"),
+            "over min-snap": interval(row["over_min_snap"]["median"], row["over_min_snap"]["ci95"]),
+            "courses": str(row["over_min_snap"]["courses"]),
+            "jerk, RMS, m/s^3": number(row["jerk_rms_m_s3"], ".1f"),
+        }
+        for row in rows
+        if row["error_mean_m"] is not None
+    ]
 
 
 def _errors(rows: Sequence[Mapping[str, Any]], names: Sequence[str]) -> list[Cells]:
@@ -154,6 +170,7 @@ def _needs(rows: Sequence[Mapping[str, Any]]) -> list[Cells]:
             "training flights": str(row["training_flights"]),
             "ratio": interval(row["median"], row["ci95"]),
             "courses": str(row["courses"]),
+            "plans within the region": str(row["within_region"]),
             "failed": str(row["failed"]),
             "0.7 reached": "yes" if row["reached"] else "no",
         }

@@ -5,7 +5,15 @@ from __future__ import annotations
 from typing import Any
 
 from trimtab.host.apps.paper.controllers.design import SPEEDS, cells
-from trimtab.host.apps.paper.controllers.table import MIN_RESIDUAL, MIN_RESIDUAL_STAR, SETS, TRAJECTORIES
+from trimtab.host.apps.paper.controllers.table import (
+    BASELINE_TRAJECTORIES,
+    MIN_ERROR,
+    MIN_RESIDUAL,
+    MIN_RESIDUAL_STAR,
+    REGRESSORS,
+    SETS,
+    TRAJECTORIES,
+)
 
 BASE_M = 0.1
 CONTROLLERS = {
@@ -22,7 +30,7 @@ CONTROLLERS = {
     "mpc-traced": 0.3,
 }
 """Share of the baseline's error that each controller leaves on min-snap."""
-SHARES = {MIN_RESIDUAL: 0.7, MIN_RESIDUAL_STAR: 0.3}
+SHARES = {MIN_RESIDUAL: 0.7, MIN_RESIDUAL_STAR: 0.3, MIN_ERROR: 0.25}
 """Share of the error on min-snap that a trajectory leaves; 1 for the others."""
 
 
@@ -45,6 +53,7 @@ def row(controller: str, regressor: str, trajectory: str, **entries: Any) -> dic
         "error_rmse_m": 1.1 * error,
         "error_max_m": 2.0 * error,
         "clipped_share": 0.0,
+        "jerk_rms_m_s3": 10.0 / SHARES.get(trajectory, 1.0),
     }
     if controller.startswith("mpc"):
         found |= {"step_ms_p50": 4.0 * CONTROLLERS[controller], "step_ms_p99": 8.0 * CONTROLLERS[controller]}
@@ -66,6 +75,17 @@ def full(course: int = 0, setting: str = "radio") -> dict[str, Any]:
         "selected": "effects and network",
         "rows": rows,
     }
+
+
+def select(course: int) -> dict[str, Any]:
+    """A tuning course for the trajectory of the baseline."""
+    rows = [
+        row("dfbc", regressor, kind, speed=speed)
+        for speed in SPEEDS
+        for regressor in REGRESSORS
+        for kind in BASELINE_TRAJECTORIES
+    ]
+    return {"kind": "select", "course": course, "selected": "effects", "rows": rows}
 
 
 def balanced(world: int, course: int) -> dict[str, Any]:
@@ -96,18 +116,24 @@ def front(world: int) -> dict[str, Any]:
 
 def needs(world: int, excitation: str) -> dict[str, Any]:
     """A course flown with a network of each frame, and one that could not be learned."""
-    flown = {"course": 0, "flights": 12, "failed": None, "min_snap_m": 0.1}
+    flown = {"course": 0, "flights": 12, "failed": None, "min_snap_m": 0.1, "within_region": True}
     rows = [
         {**flown, "frame": "body", "min_residual_m": 0.065},
-        {**flown, "frame": "world", "min_residual_m": 0.09},
-        {"course": 0, "flights": 4, "frame": "world", "failed": "learning: too little"},
+        {**flown, "frame": "world", "min_residual_m": 0.09, "within_region": excitation == "aggressive"},
+        {
+            "course": 0,
+            "flights": 4,
+            "frame": "world",
+            "failed": "learning: too little",
+            "within_region": False,
+        },
     ]
     return {"kind": "needs", "world": world, "excitation": excitation, "rows": rows}
 
 
 def pieces(worlds: int, courses: int) -> dict[str, Any]:
     """All pieces of a study, by name."""
-    found = {"full-radio-0": full(), "full-wired-0": full(setting="wired")}
+    found = {"full-radio-0": full(), "full-wired-0": full(setting="wired"), "select-0": select(0)}
     found |= {f"balanced-{w:02d}-{c}": balanced(w, c) for w in range(worlds) for c in range(courses)}
     found |= {f"front-{w:02d}": front(w) for w in range(worlds)}
     found |= {f"needs-00-{name}": needs(0, name) for name in ("gentle", "aggressive")}

@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections import Counter
 from itertools import combinations
 
-from trimtab.host.apps.paper.controllers.design import ANCHORS, COURSES, SPEEDS, cells
-from trimtab.host.apps.paper.controllers.table import CONTROLLERS, SETS, TRAJECTORIES
+from trimtab.host.apps.paper.controllers.design import COURSES, SPEEDS, cells
+from trimtab.host.apps.paper.controllers.table import BASELINE_TRAJECTORIES, CONTROLLERS, SETS, TRAJECTORIES
 
 WORLD = [cell for course in range(COURSES) for cell in cells(course)]
 
@@ -38,10 +38,12 @@ def test_controller_flies_every_trajectory_equally_often_with_each_of_its_regres
     }
 
 
-def test_baseline_flies_its_anchors_in_every_cell():
+def test_baseline_flies_each_of_its_trajectories_once_in_every_cell():
     for cell in WORLD:
-        by_set = {c.name for c in cell.flown.controllers} & {"dfbc"}
-        assert bool(by_set) != (tuple(cell.anchors) == ANCHORS)
+        in_set = "dfbc" in {controller.name for controller in cell.flown.controllers}
+        flown = [*(TRAJECTORIES if in_set else ()), *cell.anchors]
+        assert len(flown) == len(set(flown))
+        assert set(BASELINE_TRAJECTORIES) <= set(flown)
 
 
 def test_design_has_twenty_courses_and_three_hundred_flights_in_five_worlds():

@@ -9,9 +9,12 @@ from trimtab.host.apps.paper.controllers.design import COURSES
 from trimtab.host.apps.paper.controllers.statistics import FAILED_M
 from trimtab.host.apps.paper.controllers.summary import summary
 from trimtab.host.apps.paper.controllers.table import (
+    BASELINE_TRAJECTORIES,
     CONTROLLERS,
+    MIN_ERROR,
     MIN_RESIDUAL,
-    MIN_RESIDUAL_STAR,
+    MIN_SNAP,
+    REGRESSORS,
     TRAJECTORIES,
 )
 
@@ -36,16 +39,30 @@ def test_selection_uses_tuning_courses_only():
     for row in found["full-radio-0"]["result"]["rows"]:
         if (row["controller"], row["trajectory"], row["regressor"]) == ("dfbc-do", MIN_RESIDUAL, "paper"):
             row["error_mean_m"] = 0.001
-        if row["controller"] == "dfbc" and row["trajectory"] == MIN_RESIDUAL_STAR:
-            row["error_mean_m"] = 0.09
+    for row in found["select-0"]["result"]["rows"]:
+        row["error_mean_m"] = (
+            0.02 if (row["trajectory"], row["regressor"]) == (MIN_RESIDUAL, "paper") else 0.05
+        )
     answer = summary({}, found)["answer"]
     best = answer["best"]
     assert (best["controller"], best["regressor"], best["trajectory"]) == ("dfbc-do", "paper", MIN_RESIDUAL)
     assert best["median"] == pytest.approx(error_m("dfbc-do", MIN_RESIDUAL) / BASE_M)
     ratio = answer["error_ratio_baseline"]
-    assert ratio["trajectory"] == MIN_RESIDUAL
+    assert (ratio["trajectory"], ratio["regressor"]) == (MIN_RESIDUAL, "paper")
     assert ratio["median"] == pytest.approx(0.7)
     assert ratio["courses"] == COURSES  # anchors count: every course has a cell of the regressor
+
+
+def test_baseline_has_error_and_jerk_of_each_of_its_trajectories_on_every_course():
+    rows = summary({}, pieces(1, COURSES))["answer"]["baseline"]
+    by_key = {(row["regressor"], row["trajectory"]): row for row in rows}
+    assert len(by_key) == len(REGRESSORS) * len(BASELINE_TRAJECTORIES)
+    row = by_key["ours", MIN_ERROR]
+    assert row["over_min_snap"]["median"] == pytest.approx(0.25)
+    assert row["over_min_snap"]["courses"] == COURSES
+    assert row["error_mean_m"] == pytest.approx(0.25 * BASE_M)
+    assert row["jerk_rms_m_s3"] == pytest.approx(40.0)
+    assert by_key["paper", MIN_SNAP]["over_min_snap"]["median"] == 1.0
 
 
 def test_wired_courses_do_not_select():
@@ -87,12 +104,17 @@ def test_steps_are_medians_over_flights_and_the_greatest_counts():
 def test_needs_say_which_settings_reach_the_target():
     rows = summary({}, pieces(1, 1))["answer"]["needs"]
     reached = {
-        (r["frame"], r["excitation"], r["training_flights"]): (r["median"], r["reached"], r["failed"])
+        (r["frame"], r["excitation"], r["training_flights"]): (
+            r["median"],
+            r["reached"],
+            r["failed"],
+            r["within_region"],
+        )
         for r in rows
     }
-    assert reached["body", "gentle", 12] == (pytest.approx(0.65), True, 0)
-    assert reached["world", "gentle", 12] == (pytest.approx(0.9), False, 0)
-    assert reached["world", "aggressive", 4] == (pytest.approx(FAILED_M), False, 1)
+    assert reached["body", "gentle", 12] == (pytest.approx(0.65), True, 0, 1)
+    assert reached["world", "gentle", 12] == (pytest.approx(0.9), False, 0, 0)
+    assert reached["world", "aggressive", 4] == (pytest.approx(FAILED_M), False, 1, 0)
 
 
 def test_front_has_error_over_min_snap_and_jerk_of_each_weight():
