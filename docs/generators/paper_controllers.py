@@ -17,7 +17,7 @@ from trimtab.host.apps.paper.controllers.models import PAPER_SETTINGS, TRAINING_
 from trimtab.host.apps.paper.controllers.needs import COUNTS, EXCITATIONS, TARGET
 from trimtab.host.apps.paper.controllers.pieces import PAPER_DURATION_S
 from trimtab.host.apps.paper.controllers.statistics import FAILED_M
-from trimtab.host.apps.paper.controllers.table import FAMILIES, REGRESSORS
+from trimtab.host.apps.paper.controllers.table import CONTROLLERS, FAMILIES, REGRESSORS
 from trimtab.host.apps.paper.controllers.tables import interval, tables
 from trimtab.host.apps.paper.planning.compare import NODES, PACES
 from trimtab.host.apps.paper.text import markdown, wrapped
@@ -43,6 +43,12 @@ _UNCONFIRMED = """## Claims of the paper that these flights do not confirm
 An effect is a ratio of errors, below 1 where the claim holds.
 
 {claims}
+
+"""
+
+_ANSWERS = """## Answers
+
+{answers}
 
 """
 
@@ -110,7 +116,9 @@ def page(report: Mapping[str, Any]) -> str:
         quick=" This is a quick check, not for the record." if report["quick"] else "",
     )
     sections = [f"### {title}\n\n{markdown(rows)}\n" for title, rows in tables(report).items()]
-    return f"{wrapped(head)}{_unconfirmed(report)}{_method()}## Results\n\n" + "\n".join(sections)
+    return f"{wrapped(head)}{_unconfirmed(report)}{_answers(report)}{_method()}## Results\n\n" + "\n".join(
+        sections
+    )
 
 
 def _unconfirmed(report: Mapping[str, Any]) -> str:
@@ -120,7 +128,39 @@ def _unconfirmed(report: Mapping[str, Any]) -> str:
         for row in report["claims"]
         if not row["confirmed"] and row["ci95"] is not None
     ]
-    return _UNCONFIRMED.format(claims="\n".join(lines)) if lines else ""
+    return wrapped(_UNCONFIRMED.format(claims="\n".join(lines))) if lines else ""
+
+
+def _answers(report: Mapping[str, Any]) -> str:
+    """Return what the figures say about the study's questions, one line each."""
+    lines = []
+    ratio, best = report["error_ratio_baseline"], report["best"]
+    if ratio is not None and ratio["ci95"] is not None:
+        lines.append(
+            f"Better reference, baseline: {ratio['trajectory']} with {REGRESSORS[ratio['regressor']]} leaves "
+            f"{interval(ratio['median'], ratio['ci95'])} of the error on min-snap."
+        )
+    if best is not None and best["ci95"] is not None:
+        title = next(each.title for each in CONTROLLERS if each.name == best["controller"])
+        lines.append(
+            f"Better controller: {title} on {best['trajectory']} with {REGRESSORS[best['regressor']]} leaves "
+            f"{interval(best['median'], best['ci95'])} of the error of the baseline on min-snap."
+        )
+    needs = report["needs"]
+    reached = [_setting(row) for row in needs if row["reached"]]
+    if needs:
+        lines.append(
+            f"Networks whose Min-Residual plans reach {TARGET:g} of the error on Min-Snap: "
+            f"{'; '.join(reached) or 'none'}."
+        )
+    return wrapped(_ANSWERS.format(answers="\n".join(f"- {line}" for line in lines))) if lines else ""
+
+
+def _setting(row: Mapping[str, Any]) -> str:
+    return (
+        f"{row['frame']} frame, {row['training_flights']} {row['excitation']} flights "
+        f"({interval(row['median'], row['ci95'])})"
+    )
 
 
 def _method() -> str:

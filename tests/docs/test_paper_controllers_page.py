@@ -45,7 +45,17 @@ def test_page_begins_with_the_claims_that_are_not_confirmed(outcome: dict[str, A
     lost = {**first, "confirmed": False, "effect": 1.25, "ci95": [1.1, 1.4]}
     text = page({**answer, "claims": [lost, *others]})
     assert text.index(heading) < text.index("## Method")
-    assert "with neural feed-forward: DFBC with the paper's regressor, 1.25 (1.10-1.40)" in text
+    prose = " ".join(text.split())
+    assert "with neural feed-forward: DFBC with the paper's regressor, 1.25 (1.10-1.40)" in prose
+
+
+def test_page_answers_the_questions_of_the_study(outcome: dict[str, Any]) -> None:
+    prose = " ".join(page({**outcome["answer"], "provenance": PROVENANCE}).split())
+    assert "min-error with the paper's regressor leaves 0.25 (0.25-0.25) of the error on min-snap." in prose
+    assert "Traced on min-residual* with our regressor leaves" in prose
+    lines = page({**outcome["answer"], "provenance": PROVENANCE}).splitlines()
+    assert sum(line.startswith("- Better ") for line in lines) == 2
+    assert "body frame, 12 aggressive flights (0.65); body frame, 12 gentle flights (0.65)." in prose
 
 
 def test_page_of_a_quick_run_says_so(outcome: dict[str, Any]) -> None:

@@ -23,11 +23,20 @@ def markdown(rows: Sequence[Mapping[str, str]]) -> str:
 
 
 def wrapped(prose: str) -> str:
-    """Return the prose with its paragraphs in lines that fit a page; indented code stays as it is."""
-    paragraphs = (
-        each
-        if each.startswith("    ")
-        else textwrap.fill(each, _WIDTH, break_long_words=False, break_on_hyphens=False)
-        for each in prose.split("\n\n")
+    """Return the prose with its paragraphs in lines that fit a page; indented code stays as it is.
+
+    A paragraph that begins with "- " is a list with an item on each line.
+    """
+    return "\n\n".join(_wrapped(each) for each in prose.split("\n\n"))
+
+
+def _wrapped(paragraph: str) -> str:
+    if paragraph.startswith("    "):
+        return paragraph
+    items, indent = [paragraph], ""
+    if paragraph.startswith("- "):
+        items, indent = paragraph.splitlines(), "  "
+    return "\n".join(
+        textwrap.fill(item, _WIDTH, subsequent_indent=indent, break_long_words=False, break_on_hyphens=False)
+        for item in items
     )
-    return "\n\n".join(paragraphs)
