@@ -91,7 +91,7 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep tests of one xdist_group on one worker, and tests that share a fixture of their module.
+    """Keep tests in real time, of one xdist_group or with a common fixture of their module on one worker.
 
     Two workers would set such a fixture up twice, and two flights in real time would share the cores. xdist
     groups by the end of a test's id; what xdist 3.8 writes there is lost from pytest 9.2 on.
@@ -106,7 +106,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _group(item: Any) -> str | None:
-    """The group that the test's mark names; its module where it uses a fixture of the module; or None."""
+    """The group that the test's marks name; its module where it uses a fixture of the module; or None."""
+    if item.get_closest_marker("realtime") is not None:
+        return "realtime"
     mark = item.get_closest_marker("xdist_group")
     if mark is not None:
         return mark.args[0]

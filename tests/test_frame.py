@@ -62,6 +62,7 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
     "head",
     [
         pytest.param("@pytest.mark.xdist_group('one')\n", id="by a mark"),
+        pytest.param("@pytest.mark.realtime\n", id="in real time"),
         pytest.param(
             "@pytest.fixture(scope='module', autouse=True)\ndef shared():\n    pass\n\n", id="by a fixture"
         ),
