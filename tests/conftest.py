@@ -9,6 +9,7 @@ from __future__ import annotations
 import importlib.util
 import os
 import shutil
+import signal
 from collections.abc import Callable, Generator, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from pathlib import Path
@@ -85,17 +86,24 @@ def required_parts() -> frozenset[str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse a misspelt TRIMTAB_REQUIRE before any test runs."""
+    """Refuse a misspelt TRIMTAB_REQUIRE before any test runs, and hear Ctrl-C, which tests send.
+
+    A shell makes what it starts in the background deaf to it, and so all that tests start.
+    """
     required_parts()
+    if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.hookimpl(trylast=True)
 def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item]) -> None:
-    """Keep tests of one xdist_group on one worker, and tests that share a fixture of their module.
+    """Put long tests first, and keep tests on one worker that belong together.
 
-    Two workers would set such a fixture up twice, and two flights in real time would share the cores. xdist
-    groups by the end of a test's id; what xdist 3.8 writes there is lost from pytest 9.2 on.
+    These are tests in real time, of one xdist_group, or with a common fixture of their module. Two workers
+    would set such a fixture up twice, and two flights in real time would share the cores. xdist groups by the
+    end of a test's id; what xdist 3.8 writes there is lost from pytest 9.2 on.
     """
+    items.sort(key=lambda item: item.get_closest_marker("long") is None)
     if not getattr(config.option, "loadgroup", False):  # set in workers where groups are asked for
         return
     for item in items:
@@ -106,7 +114,9 @@ def pytest_collection_modifyitems(config: pytest.Config, items: list[pytest.Item
 
 
 def _group(item: Any) -> str | None:
-    """The group that the test's mark names; its module where it uses a fixture of the module; or None."""
+    """The group that the test's marks name; its module where it uses a fixture of the module; or None."""
+    if item.get_closest_marker("realtime") is not None:
+        return "realtime"
     mark = item.get_closest_marker("xdist_group")
     if mark is not None:
         return mark.args[0]

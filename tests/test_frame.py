@@ -62,6 +62,7 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
     "head",
     [
         pytest.param("@pytest.mark.xdist_group('one')\n", id="by a mark"),
+        pytest.param("@pytest.mark.realtime\n", id="in real time"),
         pytest.param(
             "@pytest.fixture(scope='module', autouse=True)\ndef shared():\n    pass\n\n", id="by a fixture"
         ),
@@ -85,6 +86,38 @@ def test_tests_of_a_group_share_a_worker(tmp_path: Path, head: str) -> None:
     found = re.findall(r"^ran on (\w+)$", done.stdout, flags=re.MULTILINE)
     assert len(found) == 8
     assert len(set(found)) == 1
+
+
+def test_run_in_the_background_of_a_shell_hears_ctrl_c(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
+    (tmp_path / "test_probe.py").write_text(
+        "import signal\n\n"
+        "def test_it():\n    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler\n"
+    )
+    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), "."]
+    command = ["sh", "-c", "trap '' INT; exec \"$@\"", "sh", *words]
+    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert "1 passed" in done.stdout
+
+
+def test_long_test_starts_before_the_others_of_its_size(tmp_path: Path) -> None:
+    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
+    (tmp_path / "test_probe.py").write_text(
+        "import pytest\n\ndef test_short():\n    pass\n\n"
+        "@pytest.mark.long\ndef test_long():\n    pass\n\n"
+        "@pytest.mark.parametrize('k', range(2))\n@pytest.mark.xdist_group('g')\n"
+        "def test_group(k):\n    pass\n"
+    )
+    command = ["-m", "pytest", "-n", "1", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "--rootdir"]
+    done = subprocess.run(
+        [sys.executable, *command, str(tmp_path), "."],
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        check=True,
+    )
+    order = re.findall(r"PASSED test_probe.py::test_(\w+)", done.stdout)
+    assert order == ["group", "group", "long", "short"]
 
 
 def test_unknown_required_part_stops_the_run(tmp_path: Path) -> None:

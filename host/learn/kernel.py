@@ -132,3 +132,9 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
 def pointer(array: np.ndarray) -> ctypes.c_void_p:
     """Return the address of an array's numbers."""
     return ctypes.c_void_p(array.ctypes.data)
+
+
+def pointers(array: np.ndarray) -> list[ctypes.c_void_p]:
+    """Return the addresses of an array's rows, one for each index of its first axis."""
+    first, stride = array.ctypes.data, array.strides[0]
+    return [ctypes.c_void_p(first + k * stride) for k in range(len(array))]

@@ -11,7 +11,7 @@ import numpy as np
 from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
 from trimtab.host.codegen.simd import LANES, aligned, lanes_of, rows_of
 from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
-from trimtab.host.learn.kernel import MEASURED, kernel, pointer
+from trimtab.host.learn.kernel import MEASURED, kernel, pointer, pointers
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
@@ -85,12 +85,11 @@ class LaneRollouts:
             start, pushes = lanes_of(x0), lanes_of(push)
             thetas = aligned((groups, max(1, theta.shape[1]), LANES))
             thetas[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
-            for group in range(groups):
-                self._kernel.roll_out(
-                    pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
-                    pointer(thetas[group]), pointer(pushes[group]), ctypes.c_long(steps),
-                    ctypes.c_double(self.step_s), ctypes.c_int(0), pointer(stages), pointer(states[group]),
-                )  # fmt: skip
+            weights, memory = pointer(xi), pointer(stages)
+            length, step_s, store = ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(0)
+            rows = (start, drive, flight, thetas, pushes, states)
+            for x, d, c, values, force, out in zip(*map(pointers, rows), strict=True):
+                self._kernel.roll_out(weights, x, d, c, values, force, length, step_s, store, memory, out)
             return rows_of(states, len(x0))
 
         return roll

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
 ACCEPTED, FAILED = 0, 4
 USER_1 = 31010

@@ -14,7 +14,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
 AGAIN_S = 10.0
 

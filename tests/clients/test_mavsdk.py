@@ -16,7 +16,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
 PAGE = Path(__file__).parent.parent.parent / "docs" / "guide" / "clients.md"
 

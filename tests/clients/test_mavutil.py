@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-pytestmark = [pytest.mark.full, pytest.mark.xdist_group("serial")]
+pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
 REAL32, INT32 = 9, 6

@@ -537,7 +537,7 @@ def fly_words(ref: str, mocap_url: str) -> Callable[[str], tuple[str, ...]]:
     return lambda port: ("fly", ref, "--port", port, "--mocap", mocap_url, "-o", "x.mcap")
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 def test_port_in_silence_is_no_vehicle(refused: Refused, ref: str, terminal: tuple[int, str]) -> None:
     with speaking(terminal[0], bytes):
         refused(
@@ -545,7 +545,7 @@ def test_port_in_silence_is_no_vehicle(refused: Refused, ref: str, terminal: tup
         )
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 def test_port_with_something_else_is_no_vehicle(
     refused: Refused, fly_words: Callable[[str], tuple[str, ...]], terminal: tuple[int, str]
 ) -> None:
@@ -559,7 +559,7 @@ def heartbeat(autopilot: int, custom_mode: int) -> bytes:
     return codec.encode(m.Heartbeat(m.mavlink.MAV_TYPE_QUADROTOR, autopilot, 1, custom_mode, 3, 3))
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("answer", "parts"),
     [
@@ -587,7 +587,7 @@ def test_port_with_another_dialect_is_refused_at_once(
         refused(*fly_words(terminal[1]), code=3, parts=[terminal[1], *parts])
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 def test_blob_for_another_vehicle_than_the_ports_is_refused(
     refused: Refused,
     ref: str,
@@ -634,7 +634,7 @@ def test_port_that_cannot_be_opened_is_a_link_error(
 # Ctrl-C.
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 @pytest.mark.parametrize(
     ("realtime", "number"),
     [(False, signal.SIGTERM), (True, signal.SIGINT)],

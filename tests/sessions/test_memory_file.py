@@ -17,7 +17,7 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.upload.transfer import chunk_count
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.realtime
 TRIMTAB = (sys.executable, "-m", "trimtab.host.cli")
 CLEAN = "tolerances = false\n[radio]\nloss = 0.0\n"
 

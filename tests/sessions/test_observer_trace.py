@@ -56,6 +56,7 @@ def flights(
     return fly
 
 
+@pytest.mark.long
 @pytest.mark.full
 @pytest.mark.parametrize("name", WORLDS)
 def test_trace_with_the_observer_off_and_on_names_the_same_within_2_sigma(

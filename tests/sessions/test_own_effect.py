@@ -21,6 +21,7 @@ ROUTES = {
 FLIGHTS = {"rounds": (1, 2), "climbs": (3, 4), "unseen": (5,)}
 
 
+@pytest.mark.long
 @pytest.mark.full
 def test_tether_is_outside_the_library_until_the_workspace_has_its_file(
     trimtab: Callable[..., dict[str, Any]], tmp_path: Path

@@ -21,7 +21,7 @@ from trimtab.host.log import read_flight
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 
-pytestmark = pytest.mark.xdist_group("serial")
+pytestmark = pytest.mark.realtime
 
 
 @pytest.fixture(autouse=True)

@@ -87,7 +87,7 @@ def _ipopt() -> ca.Function:
             now = X[:, i]
     nlp = {"x": ca.veccat(U, X), "p": ca.veccat(x0, targets), "f": cost, "g": ca.vertcat(*gaps)}
     options = {"print_time": False, "ipopt.print_level": 0, "ipopt.sb": "yes", "ipopt.tol": 1e-10}
-    return ca.nlpsol("oracle", "ipopt", nlp, options)
+    return ca.nlpsol("oracle", "ipopt", nlp, {**options, "expand": True})
 
 
 def _oracle(x0: np.ndarray, targets: np.ndarray, start: np.ndarray) -> np.ndarray:

@@ -129,7 +129,7 @@ def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str,
 
 
 @pytest.mark.full
-@pytest.mark.parametrize(("used", "held_out"), [((1,), 0), ((0, 2), 1), ((1, 2), 0), ((0, 1), 2)])
+@pytest.mark.parametrize(("used", "held_out"), [((1,), 0), ((0, 2), 1), ((0, 1), 2)])
 def test_nanobench_shows_drag_sag_and_lift_and_no_payload(
     bring_in: Callable[[str, str], Flight], used: tuple[int, ...], held_out: int
 ) -> None:

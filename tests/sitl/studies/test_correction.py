@@ -84,6 +84,7 @@ def test_no_world_is_refused(tmp_path: Path) -> None:
         correction.run(folder=tmp_path, seed=1, vehicle="research", jobs=1, worlds=0)
 
 
+@pytest.mark.long
 @pytest.mark.full  # flies, traces and learns
 def test_study_flies_corrections_and_resumes(tmp_path: Path, short_programme: Programme) -> None:
     def run() -> dict[str, Any]:

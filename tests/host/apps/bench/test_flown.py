@@ -70,12 +70,18 @@ def test_sizes_fly_twenty_courses_or_four() -> None:
     assert (flown.Size().worlds * flown.Size().courses, flown.QUICK.worlds * flown.QUICK.courses) == (20, 4)
 
 
+@pytest.mark.long
 @pytest.mark.full
-def test_min_residual_is_flown_closer_than_min_snap(tmp_path: Path) -> None:
+def test_min_residual_is_flown_closer_than_min_snap(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(compare, "NETWORKS", {"network-body": "body"})
+    monkeypatch.setattr(compare, "RESIDUAL_KINDS", ("min-residual",))
     heard: list[str] = []
     found = compare.flown(tmp_path / "w", VEHICLE, 5, 0, 1, kinds=flown.KINDS, on_progress=heard.append)
-    kinds = found["courses"][0]["kinds"]
+    (course,) = found["courses"]
+    kinds, residuals = course["kinds"], course["residuals"]
     assert tuple(kinds) == flown.KINDS
     assert len(heard) == 2
     for figure in ("residual_mean_m_s2", "error_mean_m"):
         assert kinds["min-residual"][figure] < 0.9 * kinds["min-snap"][figure]
+        for name in (compare.CLOSED_FORM, "network-body"):
+            assert residuals[name]["min-residual"][figure] < 0.9 * kinds["min-snap"][figure]

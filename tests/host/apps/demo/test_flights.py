@@ -24,7 +24,7 @@ gaps_s = [[6.0, 60.0]]
 """
 
 
-@pytest.mark.xdist_group("serial")
+@pytest.mark.realtime
 def test_flight_after_a_pty_starts_from_power_up_whatever_the_upload_took(
     airfield: Airfield, hop: Reference, tmp_path: Path, require: Callable[[str], None]
 ) -> None:

@@ -215,7 +215,6 @@ def test_model_and_report_tell_neither_world_nor_seed_nor_drawn_values(demo: Dem
     assert str(host_seed(SEED)) in (folder / MODEL_NAME).read_text()
 
 
-@pytest.mark.full  # beside tests/test_sealed_logs.py, which traces without a simulator too
 def test_logs_alone_give_the_same_verdict_where_there_is_no_simulator(demo: Demo, tmp_path: Path) -> None:
     folder, outcome, _ = demo
     logs = [path.name for path in sorted(folder.glob("*.mcap"))]

@@ -66,6 +66,7 @@ def test_study_resumes_from_its_pieces_and_makes_a_page(tmp_path: Path) -> None:
         study.run(folder=tmp_path, seed=6, vehicle="research", jobs=1, worlds=2)
 
 
+@pytest.mark.long
 @pytest.mark.full  # learns seven models and flies twenty times
 def test_study_learns_and_flies_a_world(tmp_path: Path) -> None:
     found = study.run(folder=tmp_path, seed=9300, vehicle="research", jobs=1, quick=True)

@@ -21,7 +21,8 @@ from trimtab.host.vehicle import load_vehicle
 VEHICLE = load_vehicle("research")
 
 
-@pytest.mark.full  # minutes
+@pytest.mark.long
+@pytest.mark.full
 def test_fly_world_measures_every_set_and_controller(tmp_path, monkeypatch):
     monkeypatch.setattr(courses, "PATHS", 1)
     monkeypatch.setattr(courses, "OOD_PACES", courses.OOD_PACES[:1])
