@@ -157,9 +157,10 @@ def _answers(report: Mapping[str, Any]) -> str:
 
 
 def _setting(row: Mapping[str, Any]) -> str:
+    beyond = "" if row["within_region"] else ", plans beyond its region"
     return (
-        f"{row['frame']} frame, {row['training_flights']} {row['excitation']} flights "
-        f"({interval(row['median'], row['ci95'])})"
+        f"{row['frame']} frame, {row['training_flights']} {row['excitation']} flights{beyond}, "
+        f"{interval(row['median'], row['ci95'])}"
     )
 
 

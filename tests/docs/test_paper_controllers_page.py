@@ -55,7 +55,7 @@ def test_page_answers_the_questions_of_the_study(outcome: dict[str, Any]) -> Non
     assert "Traced on min-residual* with our regressor leaves" in prose
     lines = page({**outcome["answer"], "provenance": PROVENANCE}).splitlines()
     assert sum(line.startswith("- Better ") for line in lines) == 2
-    assert "body frame, 12 aggressive flights (0.65); body frame, 12 gentle flights (0.65)." in prose
+    assert "body frame, 12 aggressive flights, 0.65; body frame, 12 gentle flights, 0.65." in prose
 
 
 def test_page_of_a_quick_run_says_so(outcome: dict[str, Any]) -> None:
