@@ -97,13 +97,22 @@ class _Pty:
 
 
 class _Client:
-    """One TCP client, with the incomplete message that it sends and the data that it has not read."""
+    """One TCP client, with the incomplete message that it sends and the data that it has not read.
+
+    Attributes
+    ----------
+    gone
+        Whether it has disconnected.
+    heard_us
+        When it last sent something; None before that.
+    """
 
     def __init__(self, connection: socket.socket) -> None:
         connection.setblocking(False)
         connection.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self.socket = connection
         self.gone = False
+        self.heard_us: int | None = None
         self._begun = b""
         self._backlog = bytearray()
 
@@ -115,7 +124,9 @@ class _Client:
             return b""
         except OSError:
             data = b""
-        if not data:
+        if data:
+            self.heard_us = wall_us()
+        else:
             self.gone = True
         whole = whole_bytes(data := self._begun + data)
         self._begun = data[whole:]
@@ -135,7 +146,11 @@ class _Client:
 
 
 class _Tcp:
-    """A listening socket for up to `_CLIENTS_MAX` clients. A further client replaces the oldest."""
+    """A listening socket for up to `_CLIENTS_MAX` clients. A further client replaces the most silent one.
+
+    A flying host sends a pose every few milliseconds, so it is never the one. Clients that have sent nothing
+    go first, in the order in which they connected.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         self._listener = socket.create_server((host, port))
@@ -167,10 +182,10 @@ class _Tcp:
             connection, _ = self._listener.accept()
         except BlockingIOError:
             return
+        if len(self._clients) >= _CLIENTS_MAX:
+            silent = min(self._clients, key=lambda client: client.heard_us or 0)
+            self._drop(lambda client: client is silent)
         self._clients.append(_Client(connection))
-        if len(self._clients) > _CLIENTS_MAX:
-            self._clients[0].gone = True
-            self._drop(lambda client: client.gone)
 
     def _drop(self, which: Callable[[_Client], bool]) -> None:
         for client in [client for client in self._clients if which(client)]:

@@ -167,6 +167,35 @@ def test_tcp_does_not_mix_the_messages_of_two_clients() -> None:
             assert read_exactly(slow.fileno(), 2 * size) == beat(3) + beat(2)
 
 
+def test_ninth_tcp_client_replaces_the_most_silent_one_and_not_the_one_that_flies() -> None:
+    with served(Echo(), "tcp:127.0.0.1:0") as (address, _), contextlib.ExitStack() as stack:
+        host, number = address.removeprefix("tcp:").split(":")
+
+        def client() -> socket.socket:
+            return stack.enter_context(socket.create_connection((host, int(number))))
+
+        def send(sender: socket.socket, system: int, listeners: list[socket.socket]) -> None:
+            sender.sendall(beat(system))
+            for each in listeners:
+                assert read_exactly(each.fileno(), len(beat(system))) == beat(system)
+
+        flying = client()
+        send(flying, 1, [flying])
+        others = [client() for _ in range(7)]
+        send(others[0], 2, [flying, *others])
+        send(flying, 3, [flying, *others])
+        listening, *rest = others[1:]  # has sent nothing, and connected first of those
+        ninth = client()
+        assert listening.recv(1) == b""
+        send(ninth, 4, [flying, others[0], *rest, ninth])
+        for sender in rest:
+            send(sender, 5, [flying, others[0], *rest, ninth])
+        send(flying, 6, [flying, others[0], *rest, ninth])
+        tenth = client()
+        assert others[0].recv(1) == b""  # the first to speak of all, and silent since
+        send(tenth, 7, [flying, *rest, ninth, tenth])
+
+
 @given(st.lists(st.one_of(st.binary(max_size=9), st.just(beat(9))), max_size=9), st.integers(0, 200))
 def test_whole_bytes_never_cut_a_message(parts: list[bytes], cut: int) -> None:
     data = b"".join(parts)[:cut]
