@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import logging
+from collections.abc import Sequence
 from typing import Annotated
 
 import numpy as np
@@ -85,11 +86,8 @@ class LaneRollouts:
             start, pushes = lanes_of(x0), lanes_of(push)
             thetas = aligned((groups, max(1, theta.shape[1]), LANES))
             thetas[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
-            weights, memory = pointer(xi), pointer(stages)
-            length, step_s, store = ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(0)
-            rows = (start, drive, flight, thetas, pushes, states)
-            for x, d, c, values, force, out in zip(*map(pointers, rows), strict=True):
-                self._kernel.roll_out(weights, x, d, c, values, force, length, step_s, store, memory, out)
+            inputs = (*map(pointers, (start, drive, flight, thetas, pushes)), [pointer(stages)] * groups)
+            self._roll(xi, steps, (*inputs, pointers(states)), store=False)
             return rows_of(states, len(x0))
 
         return roll
@@ -115,11 +113,12 @@ class LaneRollouts:
         pull = _aligned(pull)
         of_xi, of_theta = np.zeros(len(xi)), np.zeros(len(self._theta))
         costate, theta_back = aligned((len(states), self.phi.size, LANES)), aligned(self._theta.shape)
-        for group in range(len(states)):
+        weights, theta, still = pointer(xi), pointer(self._theta), pointer(self._still)
+        steps, step_s = ctypes.c_long(segments.steps), ctypes.c_double(self.step_s)
+        rows = (drive, flight, self._stages, pull, costate)
+        for d, c, stages, vjp, back in zip(*map(pointers, rows), strict=True):
             self._kernel.adjoint(
-                pointer(xi), pointer(drive[group]), pointer(flight[group]), pointer(self._theta),
-                pointer(self._still), ctypes.c_long(segments.steps), ctypes.c_double(self.step_s),
-                pointer(self._stages[group]), pointer(pull[group]), pointer(costate[group]), pointer(of_xi),
+                weights, d, c, theta, still, steps, step_s, stages, vjp, back, pointer(of_xi),
                 pointer(theta_back),
             )  # fmt: skip
             of_theta += theta_back.sum(1)
@@ -140,14 +139,19 @@ class LaneRollouts:
         need = (groups, 4 * steps * self._kernel.stage_bytes // 8)
         if self._stages.shape != need:
             self._stages, self._still = aligned(need), aligned((2 * steps + 1, 3, LANES))
-        for group in range(groups):
-            self._kernel.roll_out(
-                pointer(xi), pointer(start[group]), pointer(drive[group]), pointer(flight[group]),
-                pointer(self._theta), pointer(self._still), ctypes.c_long(steps),
-                ctypes.c_double(self.step_s), ctypes.c_int(1), pointer(self._stages[group]),
-                pointer(states[group]),
-            )  # fmt: skip
+        shared = ([pointer(array)] * groups for array in (self._theta, self._still))
+        inputs = (*map(pointers, (start, drive, flight)), *shared, pointers(self._stages))
+        self._roll(xi, steps, (*inputs, pointers(states)), store=True)
         return states, (drive, flight)
+
+    def _roll(
+        self, xi: np.ndarray, steps: int, rows: Sequence[Sequence[ctypes.c_void_p]], *, store: bool
+    ) -> None:
+        """Roll out each group. rows: addresses of start, drive, constants, theta, push, stages, states."""
+        weights = pointer(xi)
+        sizes = ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(store)
+        for *inputs, stages, states in zip(*rows, strict=True):
+            self._kernel.roll_out(weights, *inputs, *sizes, stages, states)
 
 
 def _aligned(array: np.ndarray) -> np.ndarray:
