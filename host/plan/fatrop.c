@@ -147,7 +147,7 @@ static int objective_value(double scale, const double *primal, const double *sta
     return 1;
 }
 
-static int lagrangian_bend(double scale, const double *primal, const double *lam, const double *stage,
+static int lagrangian_hessian(double scale, const double *primal, const double *lam, const double *stage,
                            const double *global, struct blasfeo_dmat *res, const struct FatropOcpCDims *s, void *user) {
     const Chain *c = user;
     (void)stage; (void)global;
@@ -195,7 +195,7 @@ void connect(struct FatropOcpCInterface *f, Chain *c) {
     f->full_eval_contr_viol = constraint_values;
     f->full_eval_obj_grad = objective_slope;
     f->full_eval_obj = objective_value;
-    f->full_eval_lag_hess = lagrangian_bend;
+    f->full_eval_lag_hess = lagrangian_hessian;
     f->user_data = c;
 }
 

@@ -2,10 +2,10 @@
 
    A lane is an interval, z = (x, u, h). Behind simd.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
-   the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), BEND (Hessian of f),
+   the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), HESSIAN (Hessian of f),
    PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK and RESIDUAL
    are 0 or 1. NETWORK_ROW is the first row of the dynamics that the network is added to, -1 for none. With a network
-   SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and BENDS. */
+   SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and HESSIANS. */
 
 #define NZ (NX + NU + 1)
 #define NXU (NX + NU)
@@ -44,8 +44,8 @@ static void net_slopes(const double *xi, const V *state, Net *n) {
     }
 }
 
-/* inner += sum over units of weight_j before_j before_j', upper triangle; the weight is that of tanh's bend. */
-INLINE void units_bend(const V *a, const V *back, const V *before, int units, V *inner) {
+/* inner += sum over units of weight_j before_j before_j', upper triangle; the weight has tanh's second derivative. */
+INLINE void units_hessian(const V *a, const V *back, const V *before, int units, V *inner) {
     for (int j = 0; j < units; ++j) {
         V weight = -2.0 * a[j] * (1.0 - a[j] * a[j]) * back[j];
         for (int p = 0; p < SEEN; ++p) {
@@ -56,14 +56,14 @@ INLINE void units_bend(const V *a, const V *back, const V *before, int units, V 
 }
 
 /* After net_slopes: adds the Hessian of mu' d by the state to the upper triangle of total (6, 6). */
-static void net_bends(const double *xi, const V *state, const Net *n, const V *mu, V *total) {
-    V out_mu[3], back[LAST], to[LAST], inner[SEEN * SEEN], bend[36], cross[18], seen_bend[36], by[18];
+static void net_hessian(const double *xi, const V *state, const Net *n, const V *mu, V *total) {
+    V out_mu[3], back[LAST], to[LAST], inner[SEEN * SEEN], hessian[36], cross[18], seen_hessian[36], by[18];
     for (int o = 0; o < 3; ++o)
         out_mu[o] = n->of_out[o] * mu[0] + n->of_out[3 + o] * mu[1] + n->of_out[6 + o] * mu[2];
     for (int k = 0; k < SEEN * SEEN; ++k) inner[k] = splat(0.0);
-    BENDS
-    ddgiven(state, n->out, mu, bend, cross);
-    ddseen(state, to, seen_bend);
+    HESSIANS
+    ddgiven(state, n->out, mu, hessian, cross);
+    ddseen(state, to, seen_hessian);
     for (int o = 0; o < 3; ++o) for (int q = 0; q < 6; ++q) {
         by[o * 6 + q] = splat(0.0);
         for (int k = 0; k < SEEN; ++k) by[o * 6 + q] += n->slope[o * SEEN + k] * n->dseen[k * 6 + q];
@@ -76,7 +76,7 @@ static void net_bends(const double *xi, const V *state, const Net *n, const V *m
                 half[k] += n->dseen[m * 6 + p] * (m <= k ? inner[m * SEEN + k] : inner[k * SEEN + m]);
         }
         for (int q = p; q < 6; ++q) {
-            V sum = bend[p * 6 + q] + seen_bend[p * 6 + q];
+            V sum = hessian[p * 6 + q] + seen_hessian[p * 6 + q];
             for (int k = 0; k < SEEN; ++k) sum += half[k] * n->dseen[k * 6 + q];
             for (int o = 0; o < 3; ++o) sum += cross[o * 6 + p] * by[o * 6 + q] + cross[o * 6 + q] * by[o * 6 + p];
             total[p * 6 + q] += sum;
@@ -221,36 +221,36 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
     start_of(xi, at, e, &s, &net);
     for (int c = 0; c < NZ * NZ; ++c) H[c] = splat(0.0);
 
-    V adjoint[4][NX], pulled[4][NX];
+    V adjoint[4][NX], vjp[4][NX];
     for (int i = 3; i >= 0; --i) {
         for (int r = 0; r < NX; ++r) {
             adjoint[i][r] = WEIGHT[i] * step * lam[r];
-            if (i < 3) adjoint[i][r] += ALONG[i + 1] * step * pulled[i + 1][r];
+            if (i < 3) adjoint[i][r] += ALONG[i + 1] * step * vjp[i + 1][r];
         }
-        for (int r = 0; r < NX; ++r) pulled[i][r] = splat(0.0);
-        for (int n = 0; n < A_NNZ; ++n) pulled[i][A_COL[n]] += e[i].a[n] * adjoint[i][A_ROW[n]];
+        for (int r = 0; r < NX; ++r) vjp[i][r] = splat(0.0);
+        for (int n = 0; n < A_NNZ; ++n) vjp[i][A_COL[n]] += e[i].a[n] * adjoint[i][A_ROW[n]];
 #if DRIVEN
         for (int r = 0; r < 3; ++r)
-            for (int q = 0; q < 6; ++q) pulled[i][3 + q] += e[i].net.jacobian[r * 6 + q] * adjoint[i][NETWORK_ROW + r];
+            for (int q = 0; q < 6; ++q) vjp[i][3 + q] += e[i].net.jacobian[r * 6 + q] * adjoint[i][NETWORK_ROW + r];
 #endif
     }
     for (int i = 0; i < 4; ++i) {
-        V bend[BEND_NNZ], BS[NXU * NZ];
-        ddf(e[i].x, at.u, at.p, adjoint[i], bend);
+        V hessian[HESSIAN_NNZ], BS[NXU * NZ];
+        ddf(e[i].x, at.u, at.p, adjoint[i], hessian);
 #if DRIVEN
         V block[36];
         for (int c = 0; c < 36; ++c) block[c] = splat(0.0);
-        net_bends(xi, e[i].x + 3, &e[i].net, adjoint[i] + NETWORK_ROW, block);
-        for (int n = 0; n < BEND_NNZ; ++n) if (BEND_BLOCK[n] >= 0) bend[n] += block[BEND_BLOCK[n]];
+        net_hessian(xi, e[i].x + 3, &e[i].net, adjoint[i] + NETWORK_ROW, block);
+        for (int n = 0; n < HESSIAN_NNZ; ++n) if (HESSIAN_BLOCK[n] >= 0) hessian[n] += block[HESSIAN_BLOCK[n]];
 #endif
         for (int k = 0; k < ACTIVE; ++k) {
             V *row = BS + ACTIVE_ROW[k] * NZ;
             for (int c = 0; c < NZ; ++c) row[c] = splat(0.0);
         }
-        for (int n = 0; n < BEND_NNZ; ++n) {
-            int r = BEND_ROW[n], q = BEND_COL[n];
-            for (int c = 0; c < NZ; ++c) BS[r * NZ + c] += bend[n] * e[i].S[q * NZ + c];
-            if (r != q) for (int c = 0; c < NZ; ++c) BS[q * NZ + c] += bend[n] * e[i].S[r * NZ + c];
+        for (int n = 0; n < HESSIAN_NNZ; ++n) {
+            int r = HESSIAN_ROW[n], q = HESSIAN_COL[n];
+            for (int c = 0; c < NZ; ++c) BS[r * NZ + c] += hessian[n] * e[i].S[q * NZ + c];
+            if (r != q) for (int c = 0; c < NZ; ++c) BS[q * NZ + c] += hessian[n] * e[i].S[r * NZ + c];
         }
         for (int p = 0; p < NZ; ++p) {
             V *row = H + p * NZ;
@@ -265,7 +265,7 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
         V cross = splat(0.0);
         for (int r = 0; r < NX; ++r) {
             for (int i = 0; i < 4; ++i) cross += WEIGHT[i] * lam[r] * e[i].K[r * NZ + c];
-            for (int i = 1; i < 4; ++i) cross += ALONG[i] * pulled[i][r] * e[i - 1].K[r * NZ + c];
+            for (int i = 1; i < 4; ++i) cross += ALONG[i] * vjp[i][r] * e[i - 1].K[r * NZ + c];
         }
         H[c * NZ + NXU] += (c == NXU ? 2.0 : 1.0) * *at.h0 * cross;
     }
@@ -279,10 +279,10 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
         for (int i = 0; i < D_ROWS; ++i)
             H[p * NZ + q] += 2.0 * scale * s.jacobian[i * NX + p] * s.jacobian[i * NX + q];
 #if NETWORK
-    V bend[36];
-    for (int c = 0; c < 36; ++c) bend[c] = splat(0.0);
-    net_bends(xi, at.x + 3, DRIVEN ? &e[0].net : &net, mu, bend);
-    for (int p = 0; p < 6; ++p) for (int q = p; q < 6; ++q) H[(3 + p) * NZ + 3 + q] += bend[p * 6 + q];
+    V hessian[36];
+    for (int c = 0; c < 36; ++c) hessian[c] = splat(0.0);
+    net_hessian(xi, at.x + 3, DRIVEN ? &e[0].net : &net, mu, hessian);
+    for (int p = 0; p < 6; ++p) for (int q = p; q < 6; ++q) H[(3 + p) * NZ + 3 + q] += hessian[p * 6 + q];
 #endif
 #endif
     for (int c = 0; c < NXU; ++c) H[c * NZ + NXU] += *sigma * *at.h0 * s.slope[c];

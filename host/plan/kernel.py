@@ -90,9 +90,9 @@ class _Parts:
         f = ca.densify(model.derivative(x, u, p))
         by_x, by_u = ca.jacobian(f, x), ca.jacobian(f, u)
         kappa = ca.SX.sym("kappa", nx)
-        bend = ca.triu(ca.hessian(ca.dot(kappa, f), xu)[0])
+        hessian = ca.triu(ca.hessian(ca.dot(kappa, f), xu)[0])
         self.by_x, self.by_u = by_x.sparsity(), by_u.sparsity()
-        self.bend = bend.sparsity()
+        self.f_hessian = hessian.sparsity()
         block = ca.Sparsity(nx + nu, nx + nu)
         if model.network is not None and model.network_rows is not None:
             indices = range(NETWORK_INPUTS.start, NETWORK_INPUTS.stop)
@@ -100,7 +100,7 @@ class _Parts:
             block = ca.Sparsity.triplet(
                 nx + nu, nx + nu, [pair[0] for pair in pairs], [pair[1] for pair in pairs]
             )
-            self.bend = self.bend + block
+            self.f_hessian = self.f_hessian + block
 
         effort, path = model.effort(x, u, p), ca.densify(model.path(x, u, p))
         self.rows = path.shape[0]
@@ -116,7 +116,7 @@ class _Parts:
         self.functions = {
             "f": ca.Function("f", [x, u, p], [f]),
             "df": _emitted("df", [x, u, p], [f, by_x.nz[:], by_u.nz[:]]),
-            "ddf": _emitted("ddf", [x, u, p, kappa], [ca.project(bend, self.bend).nz[:]]),
+            "ddf": _emitted("ddf", [x, u, p, kappa], [ca.project(hessian, self.f_hessian).nz[:]]),
             "own": _emitted("own", [x, u, p], [effort, d, path]),
             "down": _emitted(
                 "down",
@@ -138,15 +138,15 @@ class _Parts:
                 by_x[self.model.network_rows] |= learned
         start = np.eye(nx, nz, dtype=bool)
         reached = start.copy()
-        bend = _mask(self.bend)
-        bend |= bend.T
+        of_f = _mask(self.f_hessian)
+        of_f |= of_f.T
         hessian = np.zeros((nz, nz), dtype=bool)
         slope = np.zeros((nx, nz), dtype=bool)
         for _ in range(4):
             spread = np.zeros((nx + nu, nz), dtype=bool)
             spread[:nx] = reached
             spread[nx:, nx : nx + nu] = np.eye(nu, dtype=bool)
-            hessian |= _product(_product(spread.T, bend), spread)
+            hessian |= _product(_product(spread.T, of_f), spread)
             change = _product(by_x, reached)
             change[:, nx : nx + nu] |= by_u
             slope |= change
@@ -187,17 +187,17 @@ class _Parts:
         for name, pattern in (
             ("A", self.by_x),
             ("B", self.by_u),
-            ("BEND", self.bend),
+            ("HESSIAN", self.f_hessian),
             ("PATH", self.path),
             ("OWN", self.start_hessian),
         ):
             rows, columns = _triplet(pattern)
             sizes[f"{name}_NNZ"] = max(1, len(rows))
             tables += [_table(f"{name}_ROW", rows), _table(f"{name}_COL", columns)]
-        rows, columns = _triplet(self.bend)
+        rows, columns = _triplet(self.f_hessian)
         first = NETWORK_INPUTS.start
         inside = (rows >= first) & (columns < NETWORK_INPUTS.stop)
-        tables.append(_table("BEND_BLOCK", np.where(inside, 6 * (rows - first) + columns - first, -1)))
+        tables.append(_table("HESSIAN_BLOCK", np.where(inside, 6 * (rows - first) + columns - first, -1)))
         active = np.unique(np.concatenate([rows, columns]))
         sizes["ACTIVE"] = len(active)
         tables.append(_table("ACTIVE_ROW", active))
@@ -246,7 +246,7 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
 
 def _network_calls(layout: Layout) -> list[str]:
     """Return the layers' calls, as macros."""
-    forward, slopes, bends = [], [], []
+    forward, slopes, hessians = [], [], []
     layers = []  # places of its weights, units and inputs
     unit = weight = 0
     source = "n->s"
@@ -272,13 +272,13 @@ def _network_calls(layout: Layout) -> list[str]:
         )
     forward.append(f"layer(xi + {out_weight}, {out_source}, n->out, {out_inputs}, 3);")
     slopes.append(f"layer_slope(xi + {out_weight}, wide, n->slope, {out_inputs}, 3, SEEN);")
-    bends.append(f"layer_back(xi + {out_weight}, out_mu, back, {out_inputs}, 3);")
+    hessians.append(f"layer_back(xi + {out_weight}, out_mu, back, {out_inputs}, 3);")
     for weight, unit, _, inputs, outputs in reversed(hidden):
-        bends.append(
-            f"units_bend(n->a + {unit}, back, n->before + {unit} * SEEN, {outputs}, inner); "
+        hessians.append(
+            f"units_hessian(n->a + {unit}, back, n->before + {unit} * SEEN, {outputs}, inner); "
             f"for (int j = 0; j < {outputs}; ++j) back[j] *= 1.0 - n->a[{unit} + j] * n->a[{unit} + j]; "
             f"layer_back(xi + {weight}, back, to, {inputs}, {outputs}); "
             f"memcpy(back, to, sizeof(V) * {inputs});"
         )
-    calls = {"FORWARD": forward, "SLOPES": slopes, "BENDS": bends}
+    calls = {"FORWARD": forward, "SLOPES": slopes, "HESSIANS": hessians}
     return [f"#define {name} {' '.join(lines)}" for name, lines in calls.items()]

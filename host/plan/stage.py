@@ -180,7 +180,9 @@ class _Builder:
         kappa = ca.SX.sym("kappa", nx)
         inputs = [self.x, self.u, self.p]
         self._f = ca.Function("f", inputs, [f, ca.jacobian(f, self.x), ca.jacobian(f, self.u)])
-        self._f_hessian = ca.Function("f_bend", [*inputs, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]])
+        self._f_hessian = ca.Function(
+            "f_hessian", [*inputs, kappa], [ca.hessian(ca.dot(kappa, f), self.xu)[0]]
+        )
         self.evaluations = self._integrate()
         self.x_next = self.x + self.step * self._mean_slope()
         self._residual()
@@ -238,7 +240,7 @@ class _Builder:
             rows = d.shape[0]
             mu = ca.SX.sym("mu", rows)
             hessian = ca.hessian(ca.dot(mu, d), self.x)[0]
-            self._d_hessian = ca.Function("d_bend", [self.x, self.p, mu], [hessian])
+            self._d_hessian = ca.Function("d_hessian", [self.x, self.p, mu], [hessian])
             vjps = jacobian.T @ d
             if model.network is not None:
                 terms = self.evaluations[0].network or _network(model.network, self.x[NETWORK_INPUTS])
