@@ -13,7 +13,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.models.model import Model
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.planner import JobOptions, plan
-from trimtab.host.plan.profile import profile
+from trimtab.host.plan.profile import jerk_rms_m_s3, profile
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan, PlanRefused, PlanUnsolved, Settings
 from trimtab.host.plan.table import from_reference
@@ -209,14 +209,15 @@ def _missing(kind: str, factor: float | None, error: PlanRefused | PlanUnsolved,
 
 def _point(vehicle: Vehicle, kind: str, factor: float | None, made: Plan) -> Point:
     reference = made.reference
-    along = profile(vehicle, ResidualModel(), from_reference(reference), reference.yaw_nodes())
+    table = from_reference(reference)
+    along = profile(vehicle, ResidualModel(), table, reference.yaw_nodes())
     return Point(
         kind=kind,
         factor=factor,
         status=made.status,
         reason=None,
         plan=made,
-        jerk_rms_m_s3=float(np.sqrt((along.jerk_m_s3**2).mean())),
+        jerk_rms_m_s3=jerk_rms_m_s3(table),
         tilt_max_deg=float(along.tilt_deg.max()),
         thrust_share_max=float(along.thrust_share.max()),
         solve_s=made.solve_s,

@@ -127,6 +127,12 @@ def profile(
     )
 
 
+def jerk_rms_m_s3(table: Table) -> float:
+    """Return the RMS of the norm of the jerk at `sample_times`."""
+    jerk = np.linalg.norm(evaluate(table, sample_times(table))[3], axis=0)
+    return float(np.sqrt((jerk**2).mean()))
+
+
 def sample_times(table: Table) -> Annotated[np.ndarray, "times"]:
     """Return evenly spaced times over the table, us, at most 10 ms apart."""
     end = float(table.times_us[-1])

@@ -31,13 +31,13 @@ from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan, Settings, plan
 from trimtab.host.plan.flown import fly_plan
-from trimtab.host.plan.table import evaluate, from_reference
+from trimtab.host.plan.profile import jerk_rms_m_s3
+from trimtab.host.plan.table import from_reference
 from trimtab.host.route import Route
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
 
 Row = dict[str, Any]
-_JERK_SAMPLES = 1001
 
 
 class TimedController:
@@ -190,7 +190,8 @@ def fly_controller(
             found = {"failed": f"controller: {flies}"}
         else:
             stem = f"{course.route.name}-{controller.name}-{regressor}-{kind.replace('*', 's')}"
-            found = _fly(site, course, flies, made, logs / f"{stem}.mcap") | {"jerk_rms_m_s3": jerk_rms(made)}
+            found = _fly(site, course, flies, made, logs / f"{stem}.mcap")
+            found["jerk_rms_m_s3"] = jerk_rms_m_s3(from_reference(made.reference))
         yield row | {"trajectory": kind} | found
 
 
@@ -216,13 +217,6 @@ def _fly(site: Site, course: Course, flies: Pilot, made: Plan, log: Path) -> Row
         "clipped_share": flight.clipped_share,
         **times,
     }
-
-
-def jerk_rms(made: Plan) -> float:
-    """Return the RMS of the norm of a plan's jerk, m/s^3."""
-    table = from_reference(made.reference)
-    times_us = np.linspace(0.0, float(table.times_us[-1]), _JERK_SAMPLES)
-    return float(np.sqrt((evaluate(table, times_us)[3] ** 2).sum(axis=0).mean()))
 
 
 def remove_log(log: Path) -> None:
