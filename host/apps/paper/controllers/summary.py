@@ -230,26 +230,26 @@ def full_rows(result: Result) -> list[Row]:
 
 def needs_rows(results: Sequence[Result]) -> list[Row]:
     """Return the error ratio of min-residual over min-snap for each way to learn a network."""
-    by_setting: dict[tuple[str, str, int], dict[tuple[int, int], list[float]]] = {}
-    failed: dict[tuple[str, str, int], int] = {}
-    inside: dict[tuple[str, str, int], int] = {}
+    by_setting: dict[tuple[str, str, int], dict[tuple[int, int], Row]] = {}
     for result in results:
         for row in result["rows"]:
             key = row["frame"], result["excitation"], row["flights"]
-            failed[key] = failed.get(key, 0) + (row["failed"] is not None)
-            inside[key] = inside.get(key, 0) + row["within_region"]
-            ratio = FAILED_M if row["failed"] is not None else row["min_residual_m"] / row["min_snap_m"]
-            by_setting.setdefault(key, {})[result["world"], row["course"]] = [ratio]
+            by_setting.setdefault(key, {})[result["world"], row["course"]] = row
     rows = []
-    for key in sorted(by_setting):
-        found = effect(by_setting[key])
+    for key, flown in sorted(by_setting.items()):
+        found = effect(
+            {
+                place: [FAILED_M if row["failed"] is not None else row["min_residual_m"] / row["min_snap_m"]]
+                for place, row in flown.items()
+            }
+        )
         rows.append(
             {
                 "frame": key[0],
                 "excitation": key[1],
                 "training_flights": key[2],
-                "failed": failed[key],
-                "within_region": inside[key],
+                "failed": sum(row["failed"] is not None for row in flown.values()),
+                "within_region": sum(row["within_region"] for row in flown.values()),
                 **found.to_json(),
                 "reached": found.median is not None and found.median <= TARGET,
             }
