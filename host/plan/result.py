@@ -24,8 +24,7 @@ KINDS: Mapping[str, tuple[Kind, bool]] = {
     "min-control-r": ("min-control-r", True),
     "min-error": ("min-error", False),
 }
-"""Kind and whether its dynamics are augmented, by the name that the paper gives it; min-error is not the
-paper's."""
+"""Kind and whether its dynamics are augmented, by name. The names are the paper's, except for min-error."""
 MINIMISED: Mapping[Kind, Minimised] = {"min-residual": "residual", "min-error": "error"}
 """What a kind minimises of what the model predicts; other kinds do not ask the model."""
 
