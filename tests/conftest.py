@@ -86,9 +86,10 @@ def required_parts() -> frozenset[str]:
 
 
 def pytest_configure(config: pytest.Config) -> None:
-    """Refuse a misspelt TRIMTAB_REQUIRE before any test runs, and hear Ctrl-C, which tests send.
+    """Refuse a misspelt TRIMTAB_REQUIRE before any test runs, and restore SIGINT, which tests send.
 
-    A shell makes what it starts in the background deaf to it, and so all that tests start.
+    A shell ignores SIGINT in what it starts in the background, and every process that a test starts inherits
+    that.
     """
     required_parts()
     if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:

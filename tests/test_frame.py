@@ -7,6 +7,7 @@ import re
 import shutil
 import subprocess
 import sys
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import pytest
@@ -29,20 +30,35 @@ def test_silent():
 """
 
 
-def run_probe(tmp_path: Path, required: str) -> str:
-    """What pytest says about PROBE, on a machine without a browser, with TRIMTAB_REQUIRE set."""
+def run_pytest(
+    tmp_path: Path,
+    source: str,
+    *words: str,
+    env: Mapping[str, str] | None = None,
+    before: Sequence[str] = (),
+) -> str:
+    """Return the output of pytest with the project's conftest.py on one module.
+
+    words: further arguments of pytest. env: changes of the environment. before: command that starts pytest.
+    """
     shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
-    (tmp_path / "test_probe.py").write_text(PROBE)
-    command = [sys.executable, "-m", "pytest", "-ra", "-q", "-p", "no:cacheprovider"]
+    (tmp_path / "test_probe.py").write_text(source)
+    command = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path)]
     done = subprocess.run(
-        [*command, "--rootdir", str(tmp_path), "."],
+        [*before, *command, *words, "."],
         cwd=tmp_path,
-        env={**os.environ, "TRIMTAB_REQUIRE": required, "PATH": str(tmp_path)},
+        env={**os.environ, **(env or {})},
         capture_output=True,
         text=True,
         check=False,
     )
     return done.stdout + done.stderr
+
+
+def run_probe(tmp_path: Path, required: str) -> str:
+    """What pytest says about PROBE, on a machine without a browser, with TRIMTAB_REQUIRE set."""
+    env = {"TRIMTAB_REQUIRE": required, "PATH": str(tmp_path)}
+    return run_pytest(tmp_path, PROBE, "-ra", "-q", env=env)
 
 
 def test_missing_part_is_skipped_with_its_reason(tmp_path: Path) -> None:
@@ -69,54 +85,37 @@ def test_missing_part_that_is_required_fails(tmp_path: Path) -> None:
     ],
 )
 def test_tests_of_a_group_share_a_worker(tmp_path: Path, head: str) -> None:
-    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
-    (tmp_path / "test_probe.py").write_text(
+    source = (
         f"import pytest\n\n{head}"
         "@pytest.mark.parametrize('k', range(8))\n"
         "def test_it(k, worker_id):\n    print('ran on', worker_id)\n"
     )
-    command = [
-        *["-m", "pytest", "-n", "2", "--dist", "loadgroup", "-rP", "-p", "no:cacheprovider", "--rootdir"],
-        str(tmp_path),
-        ".",
-    ]
-    done = subprocess.run(
-        [sys.executable, *command], cwd=tmp_path, capture_output=True, text=True, check=True
-    )
-    found = re.findall(r"^ran on (\w+)$", done.stdout, flags=re.MULTILINE)
+    said = run_pytest(tmp_path, source, "-n", "2", "--dist", "loadgroup", "-rP")
+    assert "8 passed" in said
+    found = re.findall(r"^ran on (\w+)$", said, flags=re.MULTILINE)
     assert len(found) == 8
     assert len(set(found)) == 1
 
 
-def test_run_in_the_background_of_a_shell_hears_ctrl_c(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
-    (tmp_path / "test_probe.py").write_text(
+def test_run_in_the_background_of_a_shell_receives_sigint(tmp_path: Path) -> None:
+    source = (
         "import signal\n\n"
         "def test_it():\n    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler\n"
     )
-    words = [sys.executable, "-m", "pytest", "-p", "no:cacheprovider", "--rootdir", str(tmp_path), "."]
-    command = ["sh", "-c", "trap '' INT; exec \"$@\"", "sh", *words]
-    done = subprocess.run(command, cwd=tmp_path, capture_output=True, text=True, check=False)
-    assert "1 passed" in done.stdout
+    ignoring = ("sh", "-c", "trap '' INT; exec \"$@\"", "sh")
+    assert "1 passed" in run_pytest(tmp_path, source, before=ignoring)
 
 
 def test_long_test_starts_before_the_others_of_its_size(tmp_path: Path) -> None:
-    shutil.copy(ROOT / "tests" / "conftest.py", tmp_path / "conftest.py")
-    (tmp_path / "test_probe.py").write_text(
+    source = (
         "import pytest\n\ndef test_short():\n    pass\n\n"
         "@pytest.mark.long\ndef test_long():\n    pass\n\n"
         "@pytest.mark.parametrize('k', range(2))\n@pytest.mark.xdist_group('g')\n"
         "def test_group(k):\n    pass\n"
     )
-    command = ["-m", "pytest", "-n", "1", "--dist", "loadgroup", "-v", "-p", "no:cacheprovider", "--rootdir"]
-    done = subprocess.run(
-        [sys.executable, *command, str(tmp_path), "."],
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    order = re.findall(r"PASSED test_probe.py::test_(\w+)", done.stdout)
+    said = run_pytest(tmp_path, source, "-n", "1", "--dist", "loadgroup", "-v")
+    assert "4 passed" in said
+    order = re.findall(r"PASSED test_probe.py::test_(\w+)", said)
     assert order == ["group", "group", "long", "short"]
 
 

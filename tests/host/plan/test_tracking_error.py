@@ -31,11 +31,11 @@ def test_response_to_a_residual_is_that_of_the_position_loop(axis: int, omega_ra
     errors = []
     for t_s in times_s:
         errors.append(state[ERROR][axis])
-        push = np.zeros(3)
-        push[axis] = np.sin(omega_rad_s * (t_s + step_s / 2))
+        d_ned = np.zeros(3)
+        d_ned[axis] = np.sin(omega_rad_s * (t_s + step_s / 2))
         middle = state.copy()
-        middle[STATES:] += step_s / 2 * np.array(slope(state, push)).ravel()
-        state[STATES:] += step_s * np.array(slope(middle, push)).ravel()
+        middle[STATES:] += step_s / 2 * np.array(slope(state, d_ned)).ravel()
+        state[STATES:] += step_s * np.array(slope(middle, d_ned)).ravel()
     gains = VEHICLE.gains
     loop = scipy.signal.TransferFunction([1.0], [1.0, gains.velocity_d[axis], gains.position_p[axis]])
     expected = abs(scipy.signal.freqresp(loop, [omega_rad_s])[1][0])
@@ -44,9 +44,9 @@ def test_response_to_a_residual_is_that_of_the_position_loop(axis: int, omega_ra
 
 
 def test_cost_of_a_settled_horizontal_error_is_that_of_its_residual() -> None:
-    x, push = ca.DM.zeros(ERROR_RATE.stop), 0.7
-    x[ERROR.start] = push / VEHICLE.gains.position_p[0]
-    assert float(error_cost(VEHICLE, ca.SX(x))) == pytest.approx(push**2)
+    x, d_m_s2 = ca.DM.zeros(ERROR_RATE.stop), 0.7
+    x[ERROR.start] = d_m_s2 / VEHICLE.gains.position_p[0]
+    assert float(error_cost(VEHICLE, ca.SX(x))) == pytest.approx(d_m_s2**2)
 
 
 def test_states_of_a_plan_start_without_error_and_follow_the_nominal_dynamics() -> None:
