@@ -173,6 +173,15 @@ PARAMETERS: tuple[Parameter, ...] = (
         "greatest angle at arming between the verticals of accelerometer and poses",
     ),
     _row("ARM_GYRO_STILL", 0.15, "rad/s", 0.001, 5.0, "greatest change of a gyro sample during calibration"),
+    _row(
+        "OWN_OTHERS",
+        2,
+        "",
+        0,
+        2,
+        "what a station other than the owner may do in flight: 0 nothing, 1 land, 2 land and terminate",
+        integer=True,
+    ),
     # Rejection of poses in flight.
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),

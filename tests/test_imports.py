@@ -39,6 +39,8 @@ ALLOWED: dict[str, tuple[str, ...]] = {
     "sitl.studies.scoring": ("sitl", "protocol", "firmware_model", *LEAVES, *OPENED),
     # What takes bytes from outside is on both sides of the link.
     "sitl.studies.fuzz": ("sitl", "protocol", "firmware_model", "host"),
+    # It attacks flights of the host.
+    "sitl.studies.attack": ("sitl", "protocol", "firmware_model", "host"),
     # It learns and flies the paper's controllers with the host's code, which receives the truth as arrays.
     "sitl.studies.labels": ("sitl", "protocol", "firmware_model", "host"),
     # The pace of an upload in flight is the host's.

@@ -35,6 +35,10 @@ class Estimate:
         for k, value in enumerate(law.initial_memory()):
             self._memory[k] = value
 
+    def restart(self) -> None:
+        """Forget all poses: the next one sets the estimate."""
+        self.poses.restart()
+
     def offer(
         self,
         time_us: int,

@@ -11,6 +11,7 @@ from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation
+from trimtab.firmware_model.flight.course import Course, Station, station_name
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
@@ -46,6 +47,8 @@ _END = {
 """Event at the end of a state's track. At the end of a descent's track the vehicle counts as landed even if
 no touchdown was detected.
 """
+_NAMED = (Event.HOLD, Event.OFFBOARD, Event.LAND, Event.DISARM, Event.KILL)
+"""Commands whose station a text names: they end or interrupt a flight."""
 
 
 class Flight:
@@ -65,6 +68,8 @@ class Flight:
         reference in flight.
     changed
         Set when FC_STATUS must be sent at once; whoever sends FC_STATUS resets it.
+    course
+        Who owns the flight, and what its commands and its tracking came to.
     conditions
         Active rows of the failsafe table at the last update, bit k for Failsafe k.
     texts
@@ -75,6 +80,7 @@ class Flight:
         self.parameters = parameters
         self.state = State.BOOT
         self.state_us = 0
+        self.course = Course()
         self.failsafe = Failsafe.NONE
         self.action = Action.NONE
         self.conditions = 0
@@ -153,10 +159,12 @@ class Flight:
 
     # Commands and measurements.
 
-    def handle_event(self, event: Event, now_us: int, height_m: float | None = None) -> str | None:
+    def handle_event(
+        self, event: Event, now_us: int, height_m: float | None = None, by: Station | None = None
+    ) -> str | None:
         """Apply an event (a command or the end of a phase); return why it was refused, or None.
 
-        height_m: height of a take-off; TAKEOFF_HEIGHT by default.
+        height_m: height of a take-off; TAKEOFF_HEIGHT by default. by: station that gave the command.
         """
         outcome = update(self.state, event)
         refusal = outcome.refusal or self._gate.refusal(
@@ -168,7 +176,9 @@ class Flight:
             flown=self.tracking_us is not None,
         )
         if refusal is None and (outcome.state is not self.state or event is Event.HOLD):
-            self._enter(outcome.state, event, now_us, height_m)
+            if event in _NAMED and by is not None:
+                self._report(_INFO, f"{event.name.lower()} by station {station_name(by)}")
+            self._enter(outcome.state, event, now_us, height_m, by)
         return refusal
 
     def setpoint(self, target: Target, now_us: int) -> None:
@@ -186,8 +196,13 @@ class Flight:
         off_floor = flying and self.height_m > CLEAR_HEIGHT
         return self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
 
+    def restart_estimate(self, now_us: int) -> None:
+        """Forget all poses, in standby: the next pose sets the estimate."""
+        self._estimate.restart()
+        self._stillness.reset(now_us)
+
     def host_heard(self, now_us: int) -> None:
-        """Record that a message from any ground station arrived."""
+        """Record that a message of a station that keeps the link alive has arrived."""
         self.monitor.host_us = now_us
 
     def configure(self) -> None:
@@ -279,7 +294,15 @@ class Flight:
 
     # Entry actions of the states.
 
-    def _enter(self, state: State, event: Event, now_us: int, height_m: float | None = None) -> None:
+    def _enter(
+        self,
+        state: State,
+        event: Event,
+        now_us: int,
+        height_m: float | None = None,
+        by: Station | None = None,
+    ) -> None:
+        self.course.enter(state, event, by)
         before, self.state, self.state_us, self.changed = self.state, state, now_us, True
         self._flying = state in FLYING
         if state not in OBSERVED:

@@ -40,6 +40,11 @@ class PoseInput:
         self._new, self._p, self._q = inputs["mocap_new"], inputs["mocap_p"], inputs["mocap_q"]
         self._age, self._interval = inputs["mocap_age_s"], inputs["mocap_interval_s"]
 
+    def restart(self) -> None:
+        """Forget all poses, those that wait too."""
+        self.waiting.clear()
+        self.measured_us, self.newest_us = None, -1
+
     def repeats(self, p: Sequence[float], q: Sequence[float]) -> bool:
         """Return whether an offered pose is identical to the previous one."""
         last, self._last = self._last, (*p, *q)

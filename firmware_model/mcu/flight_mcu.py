@@ -27,6 +27,7 @@ from trimtab.protocol.messages import (
     FcStatus,
     Message,
     mavlink,
+    sender_of,
 )
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
@@ -180,7 +181,8 @@ class FlightMcu:
         flight, services = self.flight, self._services
         for message in self._codec.decode(self.uart.read(now_us)):
             if isinstance(message, AttPosMocap):
-                flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
+                if services.ownership.admit_pose(sender_of(message), now_us):
+                    flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
             else:
                 services.receive(message, now_us)
         if self._out:
@@ -198,6 +200,8 @@ class FlightMcu:
             now_us
         ):  # 100 Hz telemetry pauses during an upload on the floor
             self._send_100_hz(now_us)
+        while flight.texts:  # before the status that shows what they explain
+            self._services.text(*flight.texts.popleft())
         if now_us >= self._status_us or flight.changed:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
             if flight.changed or streams.periodic_due(FcStatus.id, now_us):
@@ -206,8 +210,6 @@ class FlightMcu:
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
             self._queue(telemetry.heartbeat(flight))
-        while flight.texts:
-            self._services.text(*flight.texts.popleft())
         self._services.update(now_us)
         if now_us >= self._foreign_us:
             self._notice_foreign(now_us)

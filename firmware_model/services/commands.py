@@ -9,6 +9,7 @@ from typing import Any
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.supervisor import Event, State
+from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
@@ -54,6 +55,7 @@ class Commands:
         self,
         *,
         flight: Flight,
+        ownership: Ownership,
         upload: UploadReceiver,
         send: Callable[[Message], None],
         text: Callable[[int, str], None],
@@ -62,6 +64,7 @@ class Commands:
         more: Mapping[int, Callable[[Any, int], int]],
     ) -> None:
         self._flight = flight
+        self._ownership = ownership
         self._upload = upload
         self._send = send
         self._text = text
@@ -70,10 +73,10 @@ class Commands:
         self._commands: dict[int, Callable[[Any, int], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._check,
-            mavlink.MAV_CMD_MISSION_START: lambda _, now_us: self._event(Event.START, now_us),
+            mavlink.MAV_CMD_MISSION_START: lambda message, now_us: self._event(Event.START, message, now_us),
             mavlink.MAV_CMD_NAV_TAKEOFF: self._take_off,
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
-            mavlink.MAV_CMD_NAV_LAND: lambda _, now_us: self._event(Event.LAND, now_us),
+            mavlink.MAV_CMD_NAV_LAND: lambda message, now_us: self._event(Event.LAND, message, now_us),
             mavlink.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
@@ -98,8 +101,19 @@ class Commands:
         long._header.srcSystem, long._header.srcComponent = m.sender_of(message)
         self.long(long, now_us)
 
-    def _event(self, event: Event, now_us: int, height_m: float | None = None) -> int:
-        reason = self._flight.handle_event(event, now_us, height_m)
+    def _event(
+        self,
+        event: Event,
+        message: m.CommandLong,
+        now_us: int,
+        height_m: float | None = None,
+        *,
+        terminates: bool = False,
+    ) -> int:
+        station = m.sender_of(message)
+        reason = self._ownership.refusal(event, station, now_us, terminates=terminates)
+        if reason is None:
+            reason = self._flight.handle_event(event, now_us, height_m, station)
         if reason is None:
             return _ACCEPTED
         self._text(_WARNING, f"{event.name.lower()} refused: {reason}")
@@ -109,8 +123,8 @@ class Commands:
         if not math.isfinite(message.param1):
             return mavlink.MAV_RESULT_DENIED
         if message.param1 > 0.5:
-            return self._event(Event.ARM, now_us)
-        return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, now_us)
+            return self._event(Event.ARM, message, now_us)
+        return self._event(Event.KILL if message.param2 == m.FORCE else Event.DISARM, message, now_us)
 
     def _check(self, message: m.CommandLong, now_us: int) -> int:
         """Report every reason why arming would be refused, as texts."""
@@ -127,18 +141,20 @@ class Commands:
     def _take_off(self, message: m.CommandLong, now_us: int) -> int:
         height = message.param7
         if math.isnan(height) or height == 0.0:
-            return self._event(Event.TAKEOFF, now_us)
+            return self._event(Event.TAKEOFF, message, now_us)
         if not TAKEOFF_HEIGHT_MIN <= height < math.inf:
             return mavlink.MAV_RESULT_DENIED
-        return self._event(Event.TAKEOFF, now_us, height)
+        return self._event(Event.TAKEOFF, message, now_us, height)
 
     def _set_mode(self, message: m.CommandLong, now_us: int) -> int:
         named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
         event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
-        return self._event(event, now_us) if named and event is not None else _UNSUPPORTED
+        return self._event(event, message, now_us) if named and event is not None else _UNSUPPORTED
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
-        return self._event(Event.KILL, now_us) if message.param1 > 0.5 else _ACCEPTED
+        if not message.param1 > 0.5:
+            return _ACCEPTED
+        return self._event(Event.KILL, message, now_us, terminates=True)
 
     def _request(self, message: m.CommandLong, now_us: int) -> int:
         make = self._requests.get(message.param1)
@@ -153,6 +169,8 @@ class Commands:
 
     def _commit(self, message: m.CommandLong, now_us: int) -> int:
         """Commit the staged blob by MAV_CMD_USER_1, which has the 12 hex digits of its id as three uint16."""
+        if not self._ownership.admit(m.sender_of(message), "commit"):
+            return _NOT_NOW
         parts = (message.param1, message.param2, message.param3)
         if not all(math.isfinite(part) and 0 <= part <= 0xFFFF for part in parts):
             return mavlink.MAV_RESULT_DENIED

@@ -61,10 +61,19 @@ class FtpServer:
         Files of the vehicle.
     send
         Sends a message.
+    may_write
+        Returns whether a station may change files now.
     """
 
-    def __init__(self, files: BlobFiles, *, send: Callable[[m.Message], None]) -> None:
+    def __init__(
+        self,
+        files: BlobFiles,
+        *,
+        send: Callable[[m.Message], None],
+        may_write: Callable[[tuple[int, int]], bool],
+    ) -> None:
         self._files = files
+        self._may_write = may_write
         self._send = send
         self._sessions: dict[_Key, _Session] = {}
         self._answered: dict[_Key, _Answered] = {}
@@ -153,7 +162,7 @@ class FtpServer:
     def _create(self, key: _Key, request: Packet, now_us: int) -> Packet:
         path = _path(request)
         file = self._files.find(path)
-        if file is None or not file.staged:
+        if file is None or not file.staged or not self._may_write(key[:2]):
             return _nak(request, Error.FILE_PROTECTED)
         if not self._begin(key, _Session(path, bytearray(), now_us, written=bytearray())):
             return _nak(request, Error.NO_SESSIONS_AVAILABLE)
@@ -172,6 +181,8 @@ class FtpServer:
             return _nak(request, Error.INVALID_SESSION)
         if session.written is None:
             return _ack(request)
+        if not self._may_write(key[:2]):
+            return _nak(request, Error.FILE_PROTECTED)
         count, size = sum(session.written), len(session.written)
         if count < size:
             self._files.report_incomplete(session.path, count, size)
@@ -183,7 +194,7 @@ class FtpServer:
         file = self._files.find(_path(request))
         if file is None:
             return _nak(request, Error.FILE_NOT_FOUND)
-        if not file.staged:
+        if not file.staged or not self._may_write(key[:2]):
             return _nak(request, Error.FILE_PROTECTED)
         return _ack(request) if self._files.remove(file, now_us) else _nak(request, Error.FILE_NOT_FOUND)
 

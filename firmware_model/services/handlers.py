@@ -16,6 +16,7 @@ from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.services.commands import Commands
 from trimtab.firmware_model.services.files import BlobFiles
 from trimtab.firmware_model.services.ftp import FtpServer
+from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.firmware_model.services.parameter_service import ParameterService
 from trimtab.firmware_model.services.setpoint_service import SetpointService
 from trimtab.firmware_model.services.streams import Streams
@@ -73,7 +74,11 @@ class Hooks:
 
 
 class Handlers:
-    """Handlers of received messages. `streams` is the telemetry for stations other than Trimtab's host."""
+    """Handlers of received messages.
+
+    `streams` is the telemetry for stations other than Trimtab's host. `ownership` says who may act on the
+    vehicle.
+    """
 
     def __init__(
         self,
@@ -91,25 +96,29 @@ class Handlers:
         self._identity = identity
         self._send = send
         self._on_upload = hooks.on_upload
+        self.ownership = Ownership(flight=flight, text=self.text)
         self._parameter_service = ParameterService(
             flight=flight,
+            ownership=self.ownership,
             parameters=parameters,
             send=send,
             text=self.text,
             on_set=hooks.on_parameter,
             on_limits=hooks.on_limits,
         )
-        self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
+        self.streams = Streams(
+            flight=flight, send=send, battery_v=hooks.battery_v, may_act=self.ownership.may_act
+        )
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.report_upload)
-        self._ftp = FtpServer(files, send=send)
+        self._ftp = FtpServer(files, send=send, may_write=self.ownership.may_act)
         commands = self._commands(hooks.status)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,
             m.CommandLong: commands.long,
-            m.SetPositionTarget: setpoints.position,
-            m.SetAttitudeTarget: setpoints.attitude,
+            m.SetPositionTarget: self._from_owner(setpoints.position),
+            m.SetAttitudeTarget: self._from_owner(setpoints.attitude),
             m.CommandInt: commands.int,
             m.Heartbeat: self.streams.heartbeat,
             m.RequestDataStream: self.streams.data_stream,
@@ -129,6 +138,7 @@ class Handlers:
         """Return the handler of commands. status: returns FC_STATUS at a time in us."""
         return Commands(
             flight=self._flight,
+            ownership=self.ownership,
             upload=self._upload,
             send=self._send,
             text=self.text,
@@ -150,10 +160,19 @@ class Handlers:
         component = getattr(message, "target_component", 0)
         if target not in (0, m.VEHICLE[0]) or component not in (0, m.VEHICLE[1]):
             return
-        self._flight.host_heard(now_us)
+        self.ownership.hear(m.sender_of(message), now_us)
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message, now_us)
+
+    def _from_owner(self, take: Callable[[Any, int], None]) -> Callable[[Any, int], None]:
+        """Return a handler that passes on the setpoints of stations that may send them."""
+
+        def handle(message: Any, now_us: int) -> None:
+            if self.ownership.admit_setpoint(m.sender_of(message)):
+                take(message, now_us)
+
+        return handle
 
     def update(self, now_us: int) -> None:
         """Send the messages that are due: parameter lists, telemetry, files and upload reports."""
@@ -212,4 +231,5 @@ class Handlers:
     # Uploads.
 
     def _upload_message(self, message: Message, now_us: int) -> None:
-        self.report_upload(self._upload.receive(message, now_us), now_us)
+        if self.ownership.admit(m.sender_of(message), "upload"):
+            self.report_upload(self._upload.receive(message, now_us), now_us)

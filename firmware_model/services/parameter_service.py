@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
+from trimtab.firmware_model.flight.course import Station, station_name
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.parameters import ParameterValues, index_of, name_at
 from trimtab.firmware_model.flight.supervisor import State
+from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.parameter_wire import REAL32, decode, encode, type_of
@@ -15,6 +17,8 @@ from trimtab.protocol.parameters import BY_NAME
 
 VALUES_PER_UPDATE = 2
 """Number of PARAM_VALUE messages of a list in each update: 200 per second."""
+OTHERS_US = 5_000_000
+"""A change is reported to the stations heard within this time, unless only its sender was."""
 _WARNING = mavlink.MAV_SEVERITY_WARNING
 _TYPE_NAMES = {True: "INT32", False: "REAL32"}
 
@@ -38,6 +42,7 @@ class ParameterService:
         self,
         *,
         flight: Flight,
+        ownership: Ownership,
         parameters: ParameterValues,
         send: Callable[[Message], None],
         text: Callable[[int, str], None],
@@ -45,6 +50,7 @@ class ParameterService:
         on_limits: Callable[[], None],
     ) -> None:
         self._flight = flight
+        self._ownership = ownership
         self._parameters = parameters
         self._send = send
         self._text = text
@@ -87,18 +93,22 @@ class ParameterService:
         elif message.param_type not in (REAL32, type_of(BY_NAME[name])):
             self._text(_WARNING, f"{name} kept: set it as {_TYPE_NAMES[BY_NAME[name].integer]}")
         else:
-            self._set(name, decode(message.param_value, message.param_type))
+            self._set(name, decode(message.param_value, message.param_type), m.sender_of(message), now_us)
         self._send_value(index)
 
-    def _set(self, name: str, value: float) -> None:
+    def _set(self, name: str, value: float, station: Station, now_us: int) -> None:
         parameters = self._parameters
-        before = (parameters.airframe, parameters.limits)
+        before, value_before = (parameters.airframe, parameters.limits), parameters[name]
         try:
             self._on_set(name, parameters.set(name, value))
         except ValueError as error:
             self._text(_WARNING, str(error))
             return
         self._flight.configure()
+        changed = parameters[name] != value_before
+        if changed and self._ownership.other_stations(station, now_us, OTHERS_US):
+            text = f"{name} set to {parameters[name]:g} by station {station_name(station)}"
+            self._text(mavlink.MAV_SEVERITY_NOTICE, text)
         if (parameters.airframe, parameters.limits) != before:
             self._on_limits()
 

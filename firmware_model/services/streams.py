@@ -82,6 +82,8 @@ class Streams:
         Sends a message.
     battery_v
         Returns the battery voltage.
+    may_act
+        Returns whether a station may slow the messages to every host now.
 
     Attributes
     ----------
@@ -90,12 +92,18 @@ class Streams:
     """
 
     def __init__(
-        self, *, flight: Flight, send: Callable[[Message], None], battery_v: Callable[[], float]
+        self,
+        *,
+        flight: Flight,
+        send: Callable[[Message], None],
+        battery_v: Callable[[], float],
+        may_act: Callable[[tuple[int, int]], bool],
     ) -> None:
         self.slowed: dict[int, int] = {}
         self._flight = flight
         self._send = send
         self._battery_v = battery_v
+        self._may_act = may_act
         self._requested: dict[int, int] = {}
         self._due_us: dict[int, int] = {}
         self._private_due_us: dict[int, int] = {}
@@ -204,6 +212,8 @@ class Streams:
             return _UNSUPPORTED
         if not (interval_us == _OFF or 0 <= interval_us < math.inf):  # also rejects NaN
             return _DENIED
+        if number in PERIODIC_INTERVALS_US and not self._may_act(m.sender_of(message)):
+            return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
         self._request(int(number), round(interval_us))
         self._station_heard(now_us)
         return _ACCEPTED

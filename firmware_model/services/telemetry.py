@@ -110,7 +110,7 @@ def observer(flight: Flight, now_us: int) -> Message:
 
 def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
     """Return FC_STATUS of this tick and reset the quantities that cover the time since the last one."""
-    tracking_us = flight.tracking_us
+    tracking_us, course = flight.tracking_us, flight.course
     battery_mv = 1000.0 * board.battery_v
     return FcStatus(
         tick=now_us // TICK_US & _MASK32,
@@ -138,6 +138,9 @@ def status(flight: Flight, now_us: int, board: OnBoard) -> FcStatus:
         feedforward_id=board.feedforward_id,
         vehicle_id=board.vehicle_id,
         feedforward_faded=math.ceil(100.0 * (1.0 - flight.feedforward.weight)),
+        tracking=int(course.tracking),
+        command=0 if course.command is None else int(course.command),
+        commander=course.commander or (0, 0),
     )
 
 

@@ -6,6 +6,8 @@ The client sends heartbeats and clock requests by itself. Every request that wai
 
 from __future__ import annotations
 
+import contextlib
+import math
 from collections.abc import Callable
 from typing import Any, NamedTuple
 
@@ -13,6 +15,7 @@ from trimtab.host.link.clock import ClockSync
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message
+from trimtab.protocol.parameter_wire import decode
 
 _MASK32, _MASK16 = 0xFFFF_FFFF, 0xFFFF
 HEARTBEAT_US = 1_000_000
@@ -91,6 +94,8 @@ class Client:
         Number of status texts received in total.
     heard_us
         Host time of the last message from the vehicle; None before the first.
+    parameters
+        Values that the vehicle has reported last, by name.
     others
         MAVLink system ids received that belong neither to the vehicle nor to its radios.
     """
@@ -107,6 +112,7 @@ class Client:
         self.texts: list[tuple[int, str]] = []
         self.text_count = 0
         self.heard_us: int | None = None
+        self.parameters: dict[str, float] = {}
         self.others: set[int] = set()
         self.next_deadline_us = 0
         self._ground: m.RadioStats | None = None
@@ -118,6 +124,7 @@ class Client:
             m.Timesync: self._on_timesync,
             m.FcStatus: self._on_status,
             m.StatusText: self._on_text,
+            m.ParamValue: self._on_parameter,
             m.RadioStats: self._on_radio,
             m.Ping: self._on_ping,
         }
@@ -193,6 +200,13 @@ class Client:
         self.text_count += 1
         self.texts.append((message.severity, message.text))
         del self.texts[:-50]
+        return True
+
+    def _on_parameter(self, message: m.ParamValue, now_us: int) -> bool:
+        with contextlib.suppress(ValueError):  # of an unknown type
+            value = decode(message.param_value, message.param_type)
+            if math.isfinite(value):
+                self.parameters[message.param_id] = value
         return True
 
     def _on_radio(self, message: m.RadioStats, now_us: int) -> bool:

@@ -15,11 +15,12 @@ from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, Refused, Usag
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.control_stream import ControlStream
 from trimtab.host.link.flight_request import FlightEnd, FlightRequest
-from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted
+from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted, TakenOver
 from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
 from trimtab.host.link.recorder import Recorder
 from trimtab.host.link.session import Session
 from trimtab.host.link.swap import Swap
+from trimtab.host.link.takeover import OF_CONTROLLER, OF_REFERENCE, TakeoverWatch
 from trimtab.host.link.tasks import (
     Command,
     FindVehicle,
@@ -38,7 +39,6 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import FeedForward, Kind, Reference
 from trimtab.protocol.messages import mavlink
 from trimtab.protocol.parameters import BY_NAME, differences, equal
-from trimtab.protocol.telemetry import TICK_US
 
 ARM_PATIENCE_US = 10_000_000
 PHASES = {
@@ -88,6 +88,7 @@ class FlightDirector:
         )
         self._stream: ControlStream | None = None
         self._on_phase = on_phase
+        self._watch = TakeoverWatch(OF_REFERENCE if request.control is None else OF_CONTROLLER)
         self._on_board: dict[str, float] | None = None
         self._log: LogWriter | None = None
         self._recorder: Recorder | None = None
@@ -149,6 +150,8 @@ class FlightDirector:
                 raise
             except Interrupted:
                 self._note(ON_REQUEST)
+            except TakenOver:
+                self._note("landing, another station took over")
             except Exception as error:  # land the vehicle before any error of the host is raised
                 if failure is not None:
                     raise
@@ -209,6 +212,20 @@ class FlightDirector:
             )
         except Refused as error:
             raise FlightFailed(str(error)) from error
+        yield from self._check_unchanged()
+
+    def _check_unchanged(self) -> Generator[Task, Any, None]:
+        """Disarm and raise FlightFailed if a parameter has changed since the check."""
+        checked = self._on_board or {}
+        changed = differences(checked, checked | self.session.client.parameters)
+        if changed:
+            name, (before, now) = next(iter(changed.items()))
+            with contextlib.suppress(Refused):
+                yield Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, what="disarm")
+            raise FlightFailed(
+                f"another station set {name} from {before:g} to {now:g} while this flight was prepared; "
+                "make sure that no other station sets parameters, and fly again"
+            )
 
     def _start(self) -> Generator[Task, Any, None]:
         """Start the flight: on the reference, or up to its height for a controller on the host.
@@ -232,6 +249,7 @@ class FlightDirector:
                 raise FlightFailed(str(error)) from error
 
     def _land(self) -> Generator[Task, Any, None]:
+        self._watch.commands.add(mavlink.TRIMTAB_COMMAND_LAND)
         with contextlib.suppress(Refused):
             yield Command(mavlink.MAV_CMD_NAV_LAND, what="land")
 
@@ -284,7 +302,10 @@ class FlightDirector:
                 self._on_phase(phase)
 
     def _follow(self, status: m.FcStatus) -> None:
+        """Show the phase. Raises TakenOver if another station's command leaves the vehicle in the air."""
         self._note(PHASES.get(status.state, "unknown"))
+        if self._watch.observe(status):
+            raise TakenOver
 
     def _judge(self, status: m.FcStatus) -> FlightEnd:
         """Return how the flight ended, from the standby status after it."""
@@ -292,18 +313,19 @@ class FlightDirector:
         swap = None if self._swap is None else self._swap.end(bytes(status.reference_id).hex())
         if request.then is not None and swap is not None and swap.happened:
             reference = request.then
-        flown = status.reference_tick != m.NO_TICK
-        whole = flown and status.tick - status.reference_tick >= reference.duration_us // TICK_US
+        complete = status.tracking == mavlink.TRIMTAB_TRACKING_COMPLETE
+        whole = complete and bytes(status.reference_id).hex() == reference.id
         stream = self._stream
         if stream is not None:
             whole = stream.finished
         failsafe = failsafe_name(status.failsafe)
         return FlightEnd(
-            whole=whole and failsafe is None and not self.interrupted,
+            whole=whole and failsafe is None and not self.interrupted and self._watch.takeover is None,
             failsafe=failsafe,
             interrupted=self.interrupted,
             swap=swap,
             stop=None if stream is None else stream.stop,
+            takeover=self._watch.takeover,
         )
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 from trimtab.host.base.errors import UsageError
 from trimtab.host.link.host_control import ControlStop, HostControl
 from trimtab.host.link.swap import SwapEnd
+from trimtab.host.link.takeover import Takeover
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
 
@@ -75,9 +76,10 @@ class FlightRequest:
 class FlightEnd:
     """How a flight ended.
 
-    `whole`: the reference was flown to its end. `failsafe`: name of the failsafe that ended the flight, if
-    any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a controller on the
-    host ended its commands early; None if it did not, or without one.
+    `whole`: the reference was flown to its end, without a break. `failsafe`: name of the failsafe that ended
+    the flight, if any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a
+    controller on the host ended its commands early; None if it did not, or without one. `takeover`: first
+    command of another station that changed the flight, if any.
     """
 
     whole: bool
@@ -85,3 +87,4 @@ class FlightEnd:
     interrupted: bool
     swap: SwapEnd | None = None
     stop: ControlStop | None = None
+    takeover: Takeover | None = None

@@ -27,6 +27,10 @@ class Interrupted(Exception):
     """The flight is to end; `FlightDirector.interrupt` raises this in the script."""
 
 
+class TakenOver(Exception):
+    """Another station's command has changed the flight, and the vehicle is still in the air."""
+
+
 class AwaitPoses(Task):
     """Wait until poses are forwarded to the vehicle. Raises LinkError if none arrive."""
 

@@ -120,6 +120,10 @@ def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveSta
     if end.failsafe is not None:
         why = FAILSAFE_WORDS.get(end.failsafe, end.failsafe)
         raise FlightEnded(f"the flight ended in failsafe: {why}; its log is {request.log_path}", result)
+    if end.takeover is not None:
+        raise FlightEnded(
+            f"the flight was interrupted: {end.takeover.words}; its log is {request.log_path}", result
+        )
     if end.stop is not None and request.control is not None:
         raise FlightEnded(
             f"the controller {request.control.name} {STOP_WORDS[end.stop]}; the vehicle has landed; "

@@ -56,8 +56,13 @@ class FlightResult:
             "failsafe": None if self.end is None else self.end.failsafe,
             "interrupted": self.end is None or self.end.interrupted,
             "swap": None if self.end is None or self.end.swap is None else self.end.swap.to_json(),
+            "takeover": self._takeover_json(),
             "control": self._control_json(),
         }
+
+    def _takeover_json(self) -> dict[str, Any] | None:
+        takeover = None if self.end is None else self.end.takeover
+        return None if takeover is None else takeover.to_json()
 
     def _control_json(self) -> dict[str, Any] | None:
         if self.control is None:

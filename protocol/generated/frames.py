@@ -1,6 +1,6 @@
 """What finds messages in a byte stream. Made by `python -m trimtab.protocol.generate`."""
 
-DIALECT_VERSION = 2
+DIALECT_VERSION = 3
 
 # id: (name, checksum seed, longest payload in bytes)
 MESSAGES: dict[int, tuple[str, int, int]] = {
@@ -36,7 +36,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     331: ("ODOMETRY", 91, 233),
     52100: ("FC_CONTROL", 18, 84),
     52101: ("FC_ESTIMATE", 35, 62),
-    52102: ("FC_STATUS", 142, 77),
+    52102: ("FC_STATUS", 142, 81),
     52103: ("RADIO_STATS", 200, 22),
     52104: ("FC_OBSERVER", 140, 16),
     52110: ("UPLOAD_BEGIN", 202, 40),

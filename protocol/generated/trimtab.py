@@ -848,6 +848,44 @@ enums["TRIMTAB_FAILSAFE"][8] = EnumEntry("TRIMTAB_FAILSAFE_GEOFENCE", """""")
 TRIMTAB_FAILSAFE_ENUM_END = 9
 enums["TRIMTAB_FAILSAFE"][9] = EnumEntry("TRIMTAB_FAILSAFE_ENUM_END", """""")
 
+# TRIMTAB_TRACKING
+enums["TRIMTAB_TRACKING"] = Enum()
+enums["TRIMTAB_TRACKING"].bitmask = False
+TRIMTAB_TRACKING_NONE = 0
+enums["TRIMTAB_TRACKING"][0] = EnumEntry("TRIMTAB_TRACKING_NONE", """Not begun.""")
+TRIMTAB_TRACKING_RUNNING = 1
+enums["TRIMTAB_TRACKING"][1] = EnumEntry("TRIMTAB_TRACKING_RUNNING", """Under way.""")
+TRIMTAB_TRACKING_COMPLETE = 2
+enums["TRIMTAB_TRACKING"][2] = EnumEntry("TRIMTAB_TRACKING_COMPLETE", """To the end of the reference without a break.""")
+TRIMTAB_TRACKING_INTERRUPTED = 3
+enums["TRIMTAB_TRACKING"][3] = EnumEntry("TRIMTAB_TRACKING_INTERRUPTED", """Left before the end.""")
+TRIMTAB_TRACKING_ENUM_END = 4
+enums["TRIMTAB_TRACKING"][4] = EnumEntry("TRIMTAB_TRACKING_ENUM_END", """""")
+
+# TRIMTAB_COMMAND
+enums["TRIMTAB_COMMAND"] = Enum()
+enums["TRIMTAB_COMMAND"].bitmask = False
+TRIMTAB_COMMAND_NONE = 0
+enums["TRIMTAB_COMMAND"][0] = EnumEntry("TRIMTAB_COMMAND_NONE", """""")
+TRIMTAB_COMMAND_ARM = 1
+enums["TRIMTAB_COMMAND"][1] = EnumEntry("TRIMTAB_COMMAND_ARM", """""")
+TRIMTAB_COMMAND_START = 2
+enums["TRIMTAB_COMMAND"][2] = EnumEntry("TRIMTAB_COMMAND_START", """""")
+TRIMTAB_COMMAND_TAKEOFF = 3
+enums["TRIMTAB_COMMAND"][3] = EnumEntry("TRIMTAB_COMMAND_TAKEOFF", """""")
+TRIMTAB_COMMAND_HOLD = 4
+enums["TRIMTAB_COMMAND"][4] = EnumEntry("TRIMTAB_COMMAND_HOLD", """""")
+TRIMTAB_COMMAND_OFFBOARD = 5
+enums["TRIMTAB_COMMAND"][5] = EnumEntry("TRIMTAB_COMMAND_OFFBOARD", """""")
+TRIMTAB_COMMAND_LAND = 6
+enums["TRIMTAB_COMMAND"][6] = EnumEntry("TRIMTAB_COMMAND_LAND", """""")
+TRIMTAB_COMMAND_DISARM = 7
+enums["TRIMTAB_COMMAND"][7] = EnumEntry("TRIMTAB_COMMAND_DISARM", """""")
+TRIMTAB_COMMAND_KILL = 8
+enums["TRIMTAB_COMMAND"][8] = EnumEntry("TRIMTAB_COMMAND_KILL", """""")
+TRIMTAB_COMMAND_ENUM_END = 9
+enums["TRIMTAB_COMMAND"][9] = EnumEntry("TRIMTAB_COMMAND_ENUM_END", """""")
+
 # TRIMTAB_BLOB
 enums["TRIMTAB_BLOB"] = Enum()
 enums["TRIMTAB_BLOB"].bitmask = False
@@ -2384,22 +2422,22 @@ class MAVLink_fc_status_message(MAVLink_message):
 
     id = MAVLINK_MSG_ID_FC_STATUS
     msgname = "FC_STATUS"
-    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "swap_tick", "conditions", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded"]
-    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "swap_tick", "conditions", "battery_mv", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded"]
-    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "battery_mv", "swap_tick", "conditions", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded", "tracking", "command", "commander"]
+    ordered_fieldnames = ["tick", "state_tick", "reference_tick", "saturated_ticks", "flight_ticks", "poses_used", "swap_tick", "conditions", "battery_mv", "loop_us", "loop_mean_us", "jitter_us", "mocap_age_max", "loop_overruns", "uart_overruns", "bad_bytes", "state", "failsafe", "action", "staged_kind", "staged_id", "reference_id", "feedforward_id", "vehicle_id", "feedforward_faded", "tracking", "command", "commander"]
+    fieldtypes = ["uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint32_t", "uint16_t", "uint32_t", "uint32_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint16_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
     fielddisplays_by_name: Dict[str, str] = {}
-    fieldenums_by_name: Dict[str, str] = {"state": "TRIMTAB_STATE", "failsafe": "TRIMTAB_FAILSAFE", "staged_kind": "TRIMTAB_BLOB"}
+    fieldenums_by_name: Dict[str, str] = {"state": "TRIMTAB_STATE", "failsafe": "TRIMTAB_FAILSAFE", "staged_kind": "TRIMTAB_BLOB", "tracking": "TRIMTAB_TRACKING", "command": "TRIMTAB_COMMAND"}
     fieldunits_by_name: Dict[str, str] = {"tick": "ms", "state_tick": "ms", "reference_tick": "ms", "battery_mv": "mV", "swap_tick": "ms", "loop_us": "us", "loop_mean_us": "us", "jitter_us": "us", "feedforward_faded": "%"}
-    native_format = bytearray(b"<IIIIIIIIHHHHHHHHBBBBBBBBB")
-    orders = [0, 1, 2, 3, 4, 5, 8, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24]
-    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6, 1]
-    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6, 0]
+    native_format = bytearray(b"<IIIIIIIIHHHHHHHHBBBBBBBBBBBB")
+    orders = [0, 1, 2, 3, 4, 5, 8, 6, 7, 9, 10, 11, 12, 13, 14, 15, 16, 17, 18, 19, 20, 21, 22, 23, 24, 25, 26, 27]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 6, 6, 6, 6, 1, 1, 1, 2]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 6, 6, 6, 6, 0, 0, 0, 2]
     crc_extra = 142
-    unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6BB")
+    unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6BBBB2B")
     instance_field = None
     instance_offset = -1
 
-    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0):
+    def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, tracking: int = 0, command: int = 0, commander: Sequence[int] = (0, 0)):
         MAVLink_message.__init__(self, MAVLink_fc_status_message.id, MAVLink_fc_status_message.msgname)
         self._fieldnames = MAVLink_fc_status_message.fieldnames
         self._instance_field = MAVLink_fc_status_message.instance_field
@@ -2429,9 +2467,12 @@ class MAVLink_fc_status_message(MAVLink_message):
         self.feedforward_id = feedforward_id
         self.vehicle_id = vehicle_id
         self.feedforward_faded = feedforward_faded
+        self.tracking = tracking
+        self.command = command
+        self.commander = commander
 
     def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
-        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.swap_tick, self.conditions, self.battery_mv, self.loop_us, self.loop_mean_us, self.jitter_us, self.mocap_age_max, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.action, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5], self.feedforward_faded), force_mavlink1=force_mavlink1)
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.state_tick, self.reference_tick, self.saturated_ticks, self.flight_ticks, self.poses_used, self.swap_tick, self.conditions, self.battery_mv, self.loop_us, self.loop_mean_us, self.jitter_us, self.mocap_age_max, self.loop_overruns, self.uart_overruns, self.bad_bytes, self.state, self.failsafe, self.action, self.staged_kind, self.staged_id[0], self.staged_id[1], self.staged_id[2], self.staged_id[3], self.staged_id[4], self.staged_id[5], self.reference_id[0], self.reference_id[1], self.reference_id[2], self.reference_id[3], self.reference_id[4], self.reference_id[5], self.feedforward_id[0], self.feedforward_id[1], self.feedforward_id[2], self.feedforward_id[3], self.feedforward_id[4], self.feedforward_id[5], self.vehicle_id[0], self.vehicle_id[1], self.vehicle_id[2], self.vehicle_id[3], self.vehicle_id[4], self.vehicle_id[5], self.feedforward_faded, self.tracking, self.command, self.commander[0], self.commander[1]), force_mavlink1=force_mavlink1)
 
 
 # Define name on the class for backwards compatibility (it is now msgname).
@@ -4202,7 +4243,7 @@ class MAVLink(object):
         """
         self.send(self.fc_estimate_encode(tick, p, v, q, rate, mocap_age, gyro_bias), force_mavlink1=force_mavlink1)
 
-    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0) -> MAVLink_fc_status_message:
+    def fc_status_encode(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, tracking: int = 0, command: int = 0, commander: Sequence[int] = (0, 0)) -> MAVLink_fc_status_message:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -4232,11 +4273,14 @@ class MAVLink(object):
         feedforward_id            : Of the live feed-forward's. (type:uint8_t)
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
         feedforward_faded         : Share of the residual acceleration of the feed-forward that is faded out, because the reference is beyond the region of its model. [%] (type:uint8_t)
+        tracking                  : How far this flight, or on the floor the last one, has tracked its reference. (type:uint8_t, values:TRIMTAB_TRACKING)
+        command                   : Last command of a station that changed the state, since arming. (type:uint8_t, values:TRIMTAB_COMMAND)
+        commander                 : System and component of the station that gave it. (type:uint8_t)
 
         """
-        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded)
+        return MAVLink_fc_status_message(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded, tracking, command, commander)
 
-    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, force_mavlink1: bool = False) -> None:
+    def fc_status_send(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, tracking: int = 0, command: int = 0, commander: Sequence[int] = (0, 0), force_mavlink1: bool = False) -> None:
         """
         State, health and what is on board; at 10 Hz and on change. Counts run
         since boot and wrap.
@@ -4266,9 +4310,12 @@ class MAVLink(object):
         feedforward_id            : Of the live feed-forward's. (type:uint8_t)
         vehicle_id                : Id of the vehicle file it was set up for. (type:uint8_t)
         feedforward_faded         : Share of the residual acceleration of the feed-forward that is faded out, because the reference is beyond the region of its model. [%] (type:uint8_t)
+        tracking                  : How far this flight, or on the floor the last one, has tracked its reference. (type:uint8_t, values:TRIMTAB_TRACKING)
+        command                   : Last command of a station that changed the state, since arming. (type:uint8_t, values:TRIMTAB_COMMAND)
+        commander                 : System and component of the station that gave it. (type:uint8_t)
 
         """
-        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded), force_mavlink1=force_mavlink1)
+        self.send(self.fc_status_encode(tick, state_tick, reference_tick, saturated_ticks, flight_ticks, poses_used, battery_mv, swap_tick, conditions, loop_us, loop_mean_us, jitter_us, mocap_age_max, loop_overruns, uart_overruns, bad_bytes, state, failsafe, action, staged_kind, staged_id, reference_id, feedforward_id, vehicle_id, feedforward_faded, tracking, command, commander), force_mavlink1=force_mavlink1)
 
     def radio_stats_encode(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int) -> MAVLink_radio_stats_message:
         """

@@ -122,7 +122,7 @@ def test_message_for_another_vehicle_that_is_obeyed_is_found(monkeypatch: pytest
 def test_parameter_set_in_flight_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
     def set_always(self: Any, message: ParamSet, now_us: int) -> None:
         if message.param_id in self._parameters:
-            self._set(message.param_id, message.param_value)
+            self._set(message.param_id, message.param_value, (255, 190), now_us)
 
     monkeypatch.setattr(ParameterService, "set", set_always)
     assert any("a parameter changed in" in crash.error for crash in _crashes("vehicle-messages").crashes)

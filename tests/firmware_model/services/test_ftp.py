@@ -42,9 +42,13 @@ class Server:
             text=lambda severity, text: self.texts.append(text),
             on_upload=lambda events, now_us: self.events.extend(events),
         )
-        self.server = FtpServer(files, send=self.sent.append)
+        self.writers: set[tuple[int, int]] | None = None  # None: everybody
+        self.server = FtpServer(files, send=self.sent.append, may_write=self._may_write)
         self.now_us = 0
         self.number = 100
+
+    def _may_write(self, station):
+        return self.writers is None or station in self.writers
 
     def ask(self, opcode, *, source=STATION, session=0, size=None, offset=0, data=b"", number=None):
         """The answers that come at once."""
@@ -268,6 +272,19 @@ def test_file_that_is_too_large_is_refused_while_it_is_written():
     assert nak(server.one(Opcode.WRITE_FILE, offset=most, data=b"x"), Error.INVALID_DATA_SIZE)
     assert nak(server.one(Opcode.WRITE_FILE, offset=0xFFFF_FFFF, data=b"x"), Error.INVALID_DATA_SIZE)
     assert server.one(Opcode.WRITE_FILE, offset=most - 1, data=b"x").opcode == Opcode.ACK
+
+
+def test_station_that_may_not_write_reads_and_changes_nothing():
+    server = Server()
+    assert server.put(LIVE, session=3).opcode == Opcode.ACK
+    server.one(Opcode.CREATE_FILE, data=STAGED.encode(), session=5)
+    server.writers = set()
+    assert server.get("/ref/live.ref") == LIVE
+    assert nak(server.one(Opcode.CREATE_FILE, data=STAGED.encode(), session=4), Error.FILE_PROTECTED)
+    assert nak(server.one(Opcode.REMOVE_FILE, data=STAGED.encode()), Error.FILE_PROTECTED)
+    assert nak(server.one(Opcode.TERMINATE_SESSION, session=5), Error.FILE_PROTECTED)
+    server.writers = {STATION}
+    assert server.put(LIVE, session=4).opcode == Opcode.ACK
 
 
 def test_file_that_was_refused_leaves_nothing():

@@ -1,0 +1,1 @@
+"""Attacks on the link: strangers that share a vehicle's port, forged and replayed frames, floods."""
