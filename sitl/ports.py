@@ -12,10 +12,11 @@ from collections.abc import Callable
 from typing import Protocol
 
 from trimtab.host.base.errors import TrimtabError
-from trimtab.protocol.stream import MAGIC, OVERHEAD_BYTES, SIGNATURE_BYTES
+from trimtab.protocol.stream import MAGIC
+from trimtab.sitl.fair_share import READ_BYTES, FairShare, message_bytes
 
-_READ_BYTES = 4096
 _CLIENTS_MAX = 8
+_DATAGRAMS_MAX = 64  # read at once
 _PEER_US = 10_000_000  # a UDP peer that has been silent for longer gets no more data
 _BACKLOG_BYTES = 65536  # for a client that does not read; older bytes are then dropped, as by a full UART
 
@@ -29,13 +30,15 @@ class ServeError(TrimtabError, RuntimeError):
 class Port(Protocol):
     """A byte stream to the connected clients. `address` is what a client opens.
 
-    If there may be several clients, their data is read in complete messages.
+    `receive` takes in what has arrived; `read` returns at most `room` bytes of it. If there may be several
+    clients, their data is read in complete messages, in turn.
     """
 
     address: str
 
     def waits_on(self) -> list[int | socket.socket]: ...
-    def read(self) -> bytes: ...
+    def receive(self) -> None: ...
+    def read(self, room: int) -> bytes: ...
     def write(self, data: bytes) -> None: ...
     def close(self) -> None: ...
 
@@ -63,19 +66,25 @@ class _Pty:
         os.set_blocking(self._master, False)
         self.address = os.ttyname(self._slave)
         self._backlog = bytearray()
+        self._received = b""
 
     def waits_on(self) -> list[int | socket.socket]:
-        return [self._master]
+        return [] if self._received else [self._master]
 
-    def read(self) -> bytes:
+    def receive(self) -> None:
+        if self._received:
+            return
         try:
-            return os.read(self._master, _READ_BYTES)
+            self._received = os.read(self._master, READ_BYTES)
         except BlockingIOError:
-            return b""
+            return
         except OSError as error:
-            if error.errno == errno.EIO:  # no client has the slave open
-                return b""
-            raise
+            if error.errno != errno.EIO:  # EIO: no client has the slave open
+                raise
+
+    def read(self, room: int) -> bytes:
+        data, self._received = self._received[:room], self._received[room:]
+        return data
 
     def write(self, data: bytes) -> None:
         self._backlog += data
@@ -119,7 +128,7 @@ class _Client:
     def read(self) -> bytes:
         """Return complete messages, and bytes that do not belong to a message."""
         try:
-            data = self.socket.recv(_READ_BYTES)
+            data = self.socket.recv(READ_BYTES)
         except BlockingIOError:
             return b""
         except OSError:
@@ -157,15 +166,21 @@ class _Tcp:
         self._listener.setblocking(False)
         self.address = "tcp:{}:{}".format(*self._listener.getsockname()[:2])
         self._clients: list[_Client] = []
+        self._share = FairShare()
 
     def waits_on(self) -> list[int | socket.socket]:
-        return [self._listener, *(client.socket for client in self._clients)]
+        readable = [client.socket for client in self._clients if self._share.has_room(client)]
+        return [self._listener, *readable]
 
-    def read(self) -> bytes:
+    def receive(self) -> None:
         self._accept()
-        data = b"".join(client.read() for client in self._clients)
+        for client in self._clients:
+            if self._share.has_room(client):
+                self._share.offer(client, client.read())
         self._drop(lambda client: client.gone)
-        return data
+
+    def read(self, room: int) -> bytes:
+        return self._share.take(room)
 
     def write(self, data: bytes) -> None:
         self._accept()
@@ -194,7 +209,11 @@ class _Tcp:
 
 
 class _Udp:
-    """A bound socket that sends to every peer that it has received from recently."""
+    """A bound socket that sends to every peer that it has received from recently.
+
+    It has up to `_CLIENTS_MAX` peers. A further one is ignored until one of them has been silent for
+    `_PEER_US`: datagrams from many addresses must not push out the flying host.
+    """
 
     def __init__(self, host: str, port: int) -> None:
         self._socket = socket.socket(address_family(host), socket.SOCK_DGRAM)
@@ -202,20 +221,35 @@ class _Udp:
         self._socket.bind((host, port))
         self.address = "udp:{}:{}".format(*self._socket.getsockname()[:2])
         self._heard_us: dict[tuple[str, int], int] = {}
+        self._share = FairShare()
 
     def waits_on(self) -> list[int | socket.socket]:
         return [self._socket]
 
-    def read(self) -> bytes:
-        try:
-            data, peer = self._socket.recvfrom(_READ_BYTES)
-        except (BlockingIOError, ConnectionError):
-            return b""
-        self._heard_us.pop(peer, None)
-        self._heard_us[peer] = wall_us()
-        if len(self._heard_us) > _CLIENTS_MAX:
-            del self._heard_us[next(iter(self._heard_us))]
-        return data
+    def receive(self) -> None:
+        for _ in range(_DATAGRAMS_MAX):
+            try:
+                data, peer = self._socket.recvfrom(READ_BYTES)
+            except BlockingIOError:
+                return
+            except ConnectionError:  # a peer has closed its socket
+                continue
+            if self._admits(peer):
+                self._share.offer(peer, data[: whole_bytes(data)])
+
+    def read(self, room: int) -> bytes:
+        return self._share.take(room)
+
+    def _admits(self, peer: tuple[str, int]) -> bool:
+        now_us, heard_us = wall_us(), self._heard_us
+        if peer not in heard_us and len(heard_us) >= _CLIENTS_MAX:
+            oldest = next(iter(heard_us))
+            if now_us - heard_us[oldest] < _PEER_US:
+                return False
+            del heard_us[oldest]
+        heard_us.pop(peer, None)
+        heard_us[peer] = now_us
+        return True
 
     def write(self, data: bytes) -> None:
         if not data:
@@ -237,9 +271,7 @@ def whole_bytes(data: bytes) -> int:
     """Return the number of bytes before an incomplete MAVLink 2 message at the end of `data`."""
     at = data.find(MAGIC)
     while 0 <= at < len(data):
-        after = at + OVERHEAD_BYTES
-        if len(data) > at + 2:
-            after += data[at + 1] + (SIGNATURE_BYTES if data[at + 2] & 1 else 0)
+        after = at + message_bytes(data, at)
         if after > len(data):
             return at
         at = data.find(MAGIC, after)

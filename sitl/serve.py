@@ -28,6 +28,7 @@ class Served(Protocol):
     def run_until(self, t_us: int) -> int: ...
     def serial_read(self) -> bytes: ...
     def serial_write(self, data: bytes) -> None: ...
+    def serial_room(self) -> int: ...
     def mocap_read(self) -> list[bytes]: ...
 
 
@@ -88,10 +89,12 @@ def _loop(
             statistics.stretched_us -= ahead_us
             origin_us -= ahead_us
         readable, _, _ = select.select(line.waits_on(), [], [], max(0, ahead_us) * 1e-6)
-        if readable and (data := line.read()):
-            vehicle.serial_write(data)
+        if readable:
+            line.receive()
         if realtime and vehicle.now_us > wall_us() - origin_us:
             continue
+        if data := line.read(vehicle.serial_room()):
+            vehicle.serial_write(data)
         vehicle.run_until(vehicle.now_us + _STEP_US)
         line.write(vehicle.serial_read())
         for datagram in vehicle.mocap_read():

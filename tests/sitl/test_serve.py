@@ -32,6 +32,7 @@ from trimtab.protocol.messages import (
 from trimtab.protocol.parameters import PARAMETERS
 from trimtab.sitl import ports
 from trimtab.sitl import serve as server
+from trimtab.sitl.fair_share import PIECE_BYTES, QUEUE_BYTES, FairShare, pieces
 from trimtab.sitl.vehicle import SimulatedVehicle
 
 
@@ -52,6 +53,9 @@ class Echo:
 
     def serial_write(self, data: bytes) -> None:
         self.waiting += data
+
+    def serial_room(self) -> int:
+        return 4096
 
     def mocap_read(self) -> list[bytes]:
         return [b"pose"]
@@ -217,7 +221,8 @@ def test_udp_answers_everybody_who_spoke_lately(monkeypatch: pytest.MonkeyPatch)
         def say(client: socket.socket, data: bytes) -> None:
             client.sendto(data, (host, int(port)))
             select.select(line.waits_on(), [], [])
-            assert line.read() == data
+            line.receive()
+            assert line.read(4096) == data
 
         say(one, b"first")
         line.write(b"to one")
@@ -236,6 +241,55 @@ def test_udp_answers_everybody_who_spoke_lately(monkeypatch: pytest.MonkeyPatch)
         wall_us[0] = 60_000_000
         line.write(b"to the last one")
         assert two.recv(100) == b"to the last one"
+
+
+def test_udp_peers_that_speak_are_not_pushed_out_by_datagrams_from_many_addresses(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wall_us = [0]
+    monkeypatch.setattr(ports, "wall_us", lambda: wall_us[0])
+    line = ports.open_port("udp:127.0.0.1:0")
+    with contextlib.closing(line), contextlib.ExitStack() as stack:
+        host, port = line.address.removeprefix("udp:").split(":")
+        peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(100)]
+
+        def say(client: socket.socket, data: bytes) -> bytes:
+            client.sendto(data, (host, int(port)))
+            select.select(line.waits_on(), [], [])
+            line.receive()
+            return line.read(4096)
+
+        assert say(peers[0], beat(1)) == beat(1)
+        heard = [say(peer, beat(2)) == beat(2) for peer in peers[1:]]
+        assert heard == [True] * 7 + [False] * 92
+        assert say(peers[0], beat(3)) == beat(3)
+        line.write(b"to all peers")
+        assert peers[0].recv(100) == b"to all peers"
+        wall_us[0] = 10_000_000
+        assert say(peers[99], beat(4)) == beat(4)
+
+
+@given(st.lists(st.one_of(st.binary(max_size=400), st.just(beat(9))), max_size=9))
+def test_pieces_are_the_data_again_and_never_longer_than_a_message(parts: list[bytes]) -> None:
+    data = b"".join(parts)
+    found = list(pieces(data))
+    assert b"".join(found) == data
+    assert all(0 < len(piece) <= PIECE_BYTES for piece in found)
+
+
+def test_client_that_floods_delays_another_one_by_one_message() -> None:
+    share = FairShare()
+    for _ in range(1000):
+        share.offer("flood", beat(7))
+    assert not share.has_room("flood")
+    share.offer("host", beat(1) + beat(2))
+    size = len(beat(1))
+    assert share.take(4 * size) == beat(7) + beat(1) + beat(7) + beat(2)
+    assert share.take(size - 1) == b""
+    rest = share.take(1 << 20)
+    assert rest == beat(7) * (QUEUE_BYTES // size - 2)
+    assert share.take(1 << 20) == b""
+    assert share.has_room("flood")
 
 
 def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:
