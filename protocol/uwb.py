@@ -53,21 +53,24 @@ CAPACITY_BYTES: Mapping[Priority, int] = {
 }
 """Capacity of each queue."""
 
+POSE_SENDERS_MAX = 4
+"""Number of senders whose poses may wait at the same time."""
+
 _POSE = next(number for number, (name, _, _) in MESSAGES.items() if name == "ATT_POS_MOCAP")
 
 
 class FramePacker:
     """Packs complete messages into radio frames by priority, in order of arrival within each class.
 
-    Poses have precedence over all other messages. At most `poses` of them wait: a newer pose replaces the
-    oldest. If a queue is full, the queue FAST_TELEMETRY drops its oldest message; every other class refuses
-    the new one. A message longer than a frame is sent in pieces, one for each frame, when no more urgent
-    message waits. More urgent messages may go out between the pieces.
+    Poses have precedence over all other messages. At most `poses` of each sender wait: a newer pose replaces
+    its sender's oldest. If a queue is full, the queue FAST_TELEMETRY drops its oldest message; every other
+    class refuses the new one. A message longer than a frame is sent in pieces, one for each frame, when no
+    more urgent message waits. More urgent messages may go out between the pieces.
 
     Parameters
     ----------
     poses
-        Greatest number of waiting poses. With 1, a frame holds the newest pose; with 2, up to two poses.
+        Greatest number of waiting poses of a sender. With 1, a frame holds its newest pose; with 2, two.
     capacity
         Capacity of each queue in bytes.
     frame_bytes
@@ -119,12 +122,7 @@ class FramePacker:
         size = len(message)
         number = message[7] | message[8] << 8 | message[9] << 16
         if number == _POSE and size <= self._frame_bytes:
-            self._poses.append(message)
-            self.waiting += 1
-            if len(self._poses) > self._poses_max:
-                self._poses.popleft()
-                self.waiting -= 1
-                self.replaced += 1
+            self._offer_pose(message)
             return True
         priority = PRIORITIES.get(number, _UNKNOWN)
         queue = self._queues[priority]
@@ -141,6 +139,22 @@ class FramePacker:
         self._bytes[priority] = used
         self.waiting += 1
         return True
+
+    def _offer_pose(self, message: bytes) -> None:
+        """Queue a pose; drop the oldest of its sender, or of all senders, if too many wait."""
+        poses = self._poses
+        poses.append(message)
+        self.waiting += 1
+        sender = message[5:7]
+        own = [pose for pose in poses if pose[5:7] == sender]
+        if len(own) > self._poses_max:
+            poses.remove(own[0])
+        elif len(poses) > POSE_SENDERS_MAX * self._poses_max:
+            poses.popleft()
+        else:
+            return
+        self.waiting -= 1
+        self.replaced += 1
 
     def take(self) -> bytes | None:
         """Return the next frame, or None if no message is waiting."""

@@ -30,7 +30,7 @@ class ServeError(TrimtabError, RuntimeError):
 class Port(Protocol):
     """A byte stream to the connected clients. `address` is what a client opens.
 
-    `receive` takes in what has arrived; `read` returns at most `room` bytes of it. If there may be several
+    `receive` takes in what has arrived; `read` returns about `room` bytes of it. If there may be several
     clients, their data is read in complete messages, in turn.
     """
 
@@ -176,11 +176,11 @@ class _Tcp:
         self._accept()
         for client in self._clients:
             if self._share.has_room(client):
-                self._share.offer(client, client.read())
+                self._share.offer(client, client.read(), wall_us())
         self._drop(lambda client: client.gone)
 
     def read(self, room: int) -> bytes:
-        return self._share.take(room)
+        return self._share.take(room, wall_us())
 
     def write(self, data: bytes) -> None:
         self._accept()
@@ -235,10 +235,10 @@ class _Udp:
             except ConnectionError:  # a peer has closed its socket
                 continue
             if self._admits(peer):
-                self._share.offer(peer, data[: whole_bytes(data)])
+                self._share.offer(peer, data[: whole_bytes(data)], wall_us())
 
     def read(self, room: int) -> bytes:
-        return self._share.take(room)
+        return self._share.take(room, wall_us())
 
     def _admits(self, peer: tuple[str, int]) -> bool:
         now_us, heard_us = wall_us(), self._heard_us

@@ -40,7 +40,7 @@ from trimtab.sitl.world import RadioSettings, load_world
 HOST_RX_BYTES = 65_536
 HOST_TX_BYTES = 65_536
 HOST_WAITING_BYTES = 512
-"""Greatest number of bytes that wait on the host's serial line for more to be let in: 5.6 ms."""
+"""Bytes on the host's serial line above which no more are let in, 5.6 ms."""
 TWO_POSES_HZ = 200
 """Pose rate from which two poses may share a frame."""
 DEFAULT_WORLD = "empty"
@@ -164,7 +164,7 @@ class SimulatedVehicle:
             self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us)
 
     def serial_room(self) -> int:
-        """Return how many bytes to write at most, so that a message waits for little more than itself."""
+        """Return how many bytes to write at most, so that no more than HOST_WAITING_BYTES wait."""
         waiting = HOST_TX_BYTES - self._host_port.tx_free(self.now_us)
         return max(0, HOST_WAITING_BYTES - waiting)
 

@@ -16,6 +16,7 @@ from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.services.commands import Commands
 from trimtab.firmware_model.services.files import BlobFiles
 from trimtab.firmware_model.services.ftp import FtpServer
+from trimtab.firmware_model.services.intake import Intake
 from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.firmware_model.services.parameter_service import ParameterService
 from trimtab.firmware_model.services.setpoint_service import SetpointService
@@ -96,6 +97,7 @@ class Handlers:
         self._identity = identity
         self._send = send
         self._on_upload = hooks.on_upload
+        self._intake = Intake()
         self.ownership = Ownership(flight=flight, text=self.text)
         self._parameter_service = ParameterService(
             flight=flight,
@@ -160,7 +162,10 @@ class Handlers:
         component = getattr(message, "target_component", 0)
         if target not in (0, m.VEHICLE[0]) or component not in (0, m.VEHICLE[1]):
             return
-        self.ownership.hear(m.sender_of(message), now_us)
+        station = m.sender_of(message)
+        self.ownership.hear(station, now_us)
+        if not self._intake.admit(message, now_us, other=not self.ownership.takes_part(station)):
+            return
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message, now_us)

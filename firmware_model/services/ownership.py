@@ -52,9 +52,13 @@ class Ownership:
     def hear(self, station: Station, now_us: int) -> None:
         """Record a message of a station; the owner's and the pose source's keep the link alive."""
         _remember(self._heard_us, station, now_us)
-        owner = self.owner
-        if owner is None or station in (owner, self._pose_source):
+        if self.takes_part(station):
             self._flight.host_heard(now_us)
+
+    def takes_part(self, station: Station) -> bool:
+        """Return whether a station has a part in the present flight; in standby every station has."""
+        owner = self.owner
+        return owner is None or station in (owner, self._pose_source)
 
     def other_stations(self, station: Station, now_us: int, within_us: int) -> bool:
         """Return whether any other station was heard within the last `within_us`."""

@@ -32,7 +32,7 @@ from trimtab.protocol.messages import (
 from trimtab.protocol.parameters import PARAMETERS
 from trimtab.sitl import ports
 from trimtab.sitl import serve as server
-from trimtab.sitl.fair_share import PIECE_BYTES, QUEUE_BYTES, FairShare, pieces
+from trimtab.sitl.fair_share import BULK_RATE, PIECE_BYTES, FairShare, pieces
 from trimtab.sitl.vehicle import SimulatedVehicle
 
 
@@ -277,19 +277,23 @@ def test_pieces_are_the_data_again_and_never_longer_than_a_message(parts: list[b
     assert all(0 < len(piece) <= PIECE_BYTES for piece in found)
 
 
-def test_client_that_floods_delays_another_one_by_one_message() -> None:
-    share = FairShare()
-    for _ in range(1000):
-        share.offer("flood", beat(7))
+def test_client_that_floods_goes_behind_one_with_little_data() -> None:
+    share, size = FairShare(), len(beat(1))
+    share.offer("flood", beat(7) * 1000, 0)
     assert not share.has_room("flood")
-    share.offer("host", beat(1) + beat(2))
-    size = len(beat(1))
-    assert share.take(4 * size) == beat(7) + beat(1) + beat(7) + beat(2)
-    assert share.take(size - 1) == b""
-    rest = share.take(1 << 20)
-    assert rest == beat(7) * (QUEUE_BYTES // size - 2)
-    assert share.take(1 << 20) == b""
-    assert share.has_room("flood")
+    share.offer("host", beat(1) + beat(2), 0)
+    assert share.take(2 * size, 0) == beat(1) + beat(2)
+    second = [share.take(4096, now_us) for now_us in range(0, 1_000_000, 2_000)]
+    assert len(b"".join(second)) == pytest.approx(BULK_RATE, rel=0.05)
+    assert max(map(len, second)) <= PIECE_BYTES + size
+    assert len(share.take(4096, 2_000_000)) > 4000  # the host sends nothing any more
+
+
+def test_clients_with_little_data_are_served_in_turn() -> None:
+    share, size = FairShare(), len(beat(1))
+    share.offer("one", beat(1) * 3, 0)
+    share.offer("two", beat(2) * 2, 0)
+    assert share.take(5 * size, 0) == beat(1) + beat(2) + beat(1) + beat(2) + beat(1)
 
 
 def test_simulated_vehicle_in_real_time_sends_heartbeats_and_poses() -> None:
