@@ -371,6 +371,15 @@ def test_recovered_copy_of_a_log_is_refused_as_the_same_flight(
     refused("learn", log, "--hold-out", "copy.mcap", code=2, parts=parts)
 
 
+def test_flights_without_noise_of_their_own_are_refused(refused: Refused, log: str, tmp_path: Path) -> None:
+    """Of another session by its metadata, the copy is taken for a repeat flight with the same noise."""
+    content = (tmp_path / log).read_bytes()
+    uid = read_flight(tmp_path / log).metadata["session_uid"].encode()
+    assert content.count(uid) == 1
+    (tmp_path / "copy.mcap").write_bytes(content.replace(uid, uid[::-1]))
+    refused("trace", log, "copy.mcap", code=2, parts=["the flights do not determine a fit"])
+
+
 @pytest.mark.parametrize("more", ["", REFERENCE], ids=["no inputs", "reference only"])
 def test_log_without_inputs_is_an_answer_with_what_poses_tell(
     run: Callable[..., tuple[int, dict[str, Any], str]], foreign: Callable[..., str], more: str
