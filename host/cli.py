@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 from trimtab.host.base import output
 from trimtab.host.base.errors import BUG, INTERRUPTED, TrimtabError
 from trimtab.host.base.failures import check_address_space, failure_message
+from trimtab.host.base.text import ESCAPE
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -176,7 +177,7 @@ def _save_traceback(words: Sequence[str]) -> str:
     except OSError:
         sys.stderr.write(text)
         return "the traceback above"
-    with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8") as file:
+    with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8", errors=ESCAPE) as file:
         file.write(text)
     return name
 
