@@ -6,12 +6,15 @@ import contextlib
 import os
 import signal
 import sys
+import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any
 
 from trimtab.host.base import output
 from trimtab.host.base.errors import BUG, INTERRUPTED, TrimtabError
+from trimtab.host.base.failures import check_address_space, failure_message
+from trimtab.host.base.text import ESCAPE
 
 if TYPE_CHECKING:
     from cyclopts import App
@@ -91,8 +94,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     # For thousands of small matrices, threads are slower, and sums would depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A roll-out that overflows shows in the result, which says so; stderr has one line for each problem.
+    warnings.simplefilter("ignore", RuntimeWarning)
     try:
         output.prepare()
+        if _verb_of(words):
+            check_address_space()
         code = _run(words)
         sys.stdout.flush()
         return code
@@ -107,12 +114,9 @@ def main(argv: Sequence[str] | None = None) -> int:
     except TrimtabError as error:
         return _fail(words, str(error) or type(error).__name__, error.exit_code, error.details)
     except Exception as error:
-        if isinstance(error, OSError) and error.filename is not None:
-            return _fail(words, f"{error.filename}: {error.strerror}; check the file and its folder", 2)
-        from trimtab.host.base.artefacts import NO_ROOM
-
-        if isinstance(error, OSError) and error.errno in NO_ROOM:
-            return _fail(words, f"nothing more can be written: {error.strerror}; free disk space", 2)
+        message = failure_message(error, _verb_of(words).strip())
+        if message is not None:
+            return _fail(words, message, 2)
         saved = _save_traceback(words)
         summary = f"{type(error).__name__}: {error}".splitlines()[0]
         return _fail(words, f"a bug in trimtab: {summary}; please report it with {saved}", BUG)
@@ -173,7 +177,7 @@ def _save_traceback(words: Sequence[str]) -> str:
     except OSError:
         sys.stderr.write(text)
         return "the traceback above"
-    with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8") as file:
+    with contextlib.suppress(OSError), os.fdopen(handle, "w", encoding="utf-8", errors=ESCAPE) as file:
         file.write(text)
     return name
 

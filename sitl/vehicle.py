@@ -9,7 +9,6 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import lru_cache
-from math import cos, sin
 from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
@@ -25,7 +24,7 @@ from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
 from trimtab.protocol.telemetry import TICK_US
-from trimtab.sitl.draw import World, draw_world
+from trimtab.sitl.draw import draw_world
 from trimtab.sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
 from trimtab.sitl.memory import open_memory
 from trimtab.sitl.plant import Plant
@@ -33,6 +32,7 @@ from trimtab.sitl.radio import RadioChannel
 from trimtab.sitl.seeds import Purpose, flight_generator, session_uid
 from trimtab.sitl.sensors import Imu, Mocap
 from trimtab.sitl.serve import ServeStatistics, serve
+from trimtab.sitl.setting import Place, Setting
 from trimtab.sitl.timing import TickTimes
 from trimtab.sitl.truth import truth_record
 from trimtab.sitl.world import RadioSettings, load_world
@@ -46,22 +46,11 @@ TWO_POSES_HZ = 200
 DEFAULT_WORLD = "empty"
 
 
-@dataclasses.dataclass(frozen=True, kw_only=True)
-class Setting:
-    """Everything that a simulated vehicle is built from, apart from the flight index and the memory."""
-
-    vehicle: Vehicle
-    world: World
-    plant: str | None
-    plant_options: Mapping[str, Any]
-    start_ned: tuple[float, float, float]
-    start_yaw: float
-
-
 class SimulatedVehicle:
     """A vehicle with a serial port and a camera system, in lock-step. Satisfies host.link.Vehicle.
 
-    Use `create` to make one. `now_us` is the time since power-up, `store` the non-volatile memory on board.
+    Use `create` to make one. `now_us` is the time since `create` or `power_cycle`, which a reboot does not
+    restart. `store` is the non-volatile memory on board.
     """
 
     def __init__(self, setting: Setting, flight: int, store: ReferenceStore) -> None:
@@ -69,7 +58,7 @@ class SimulatedVehicle:
         self.store = store
         self._parameters: Mapping[str, float] = to_parameters(setting.vehicle)
         self._timers: dict[str, int] | None = None
-        self._power_up(flight)
+        self._power_up(flight, setting.start)
 
     @classmethod
     def create(  # noqa: PLR0913 (one keyword for each option)
@@ -123,8 +112,7 @@ class SimulatedVehicle:
             world=drawn,
             plant=plant,
             plant_options=read_plant_options(plant_options),
-            start_ned=start_ned,
-            start_yaw=start_yaw,
+            start=Place(start_ned, start_yaw),
         )
         store = ReferenceStore() if memory is None else open_memory(memory, vehicle)
         try:
@@ -142,7 +130,8 @@ class SimulatedVehicle:
         """
         step, devices, command = self._step, self._devices, self._command
         port, camera = self._host_port, self._camera
-        now_us = self.now_us
+        now_us = self.now_us - self._booted_us
+        t_us -= self._booted_us
         try:
             while now_us < t_us:
                 step(command)
@@ -151,17 +140,20 @@ class SimulatedVehicle:
                 if now_us >= port.due_us or camera.ready:
                     break
         finally:
-            self.now_us = now_us
-        return now_us
+            self.now_us = self._booted_us + now_us
+        if now_us >= self._flight_mcu.reboot_us:
+            self._reboot()
+        return self.now_us
 
     def serial_read(self) -> bytes:
         """Return the bytes that have arrived at the host's serial port since the last call."""
-        return self._host_port.read(self.now_us) if self.now_us >= self._host_port.due_us else b""
+        now_us = self.now_us - self._booted_us
+        return self._host_port.read(now_us) if now_us >= self._host_port.due_us else b""
 
     def serial_write(self, data: bytes) -> None:
         """Send bytes on the host's serial port; bytes that do not fit its buffer are lost."""
         for start in range(0, len(data), HOST_TX_BYTES):
-            self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us)
+            self._host_port.write(data[start : start + HOST_TX_BYTES], self.now_us - self._booted_us)
 
     def serial_room(self) -> int:
         """Return how many bytes to write at most, so that no more than HOST_WAITING_BYTES wait."""
@@ -172,9 +164,9 @@ class SimulatedVehicle:
         """Return the camera system's datagrams since the last call, one for each pose."""
         if not self._camera.ready:
             return []
-        encode = self._camera_codec.encode
+        encode, booted_us = self._camera_codec.encode, self._booted_us
         return [
-            encode(AttPosMocap(pose.stamp_us, list(pose.q_ned_frd), *pose.p_ned))
+            encode(AttPosMocap(booted_us + pose.stamp_us, list(pose.q_ned_frd), *pose.p_ned))
             for pose in self._camera.read()
         ]
 
@@ -184,7 +176,7 @@ class SimulatedVehicle:
         Queues are emptied and generators restarted. Blobs and parameters on board are kept.
         """
         self.store = ReferenceStore(self.store.flash)
-        self._power_up(flight)
+        self._power_up(flight, self._setting.start)
 
     def close(self) -> None:
         """Close the file of the memory, if there is one."""
@@ -225,14 +217,18 @@ class SimulatedVehicle:
 
     # Internals.
 
-    def _power_up(self, flight: int) -> None:
+    def _reboot(self) -> None:
+        """Restart all devices except the cameras' clock, with a full battery, and right a crashed vehicle."""
+        self.store = ReferenceStore(self.store.flash)
+        self._power_up(self._flight, self._setting.place_after_reboot(self._pose), self.now_us)
+
+    def _power_up(self, flight: int, place: Place, now_us: int = 0) -> None:
         setting, world = self._setting, self._setting.world
         seed = world.seed
         self._flight = flight
-        self.now_us = 0
+        self.now_us = self._booted_us = now_us  # all devices count from here
         self._step_owner: Plant | ForeignPlant = self._build_plant(flight)
-        half = 0.5 * setting.start_yaw
-        self._step_owner.reset(setting.start_ned, (cos(half), 0.0, 0.0, sin(half)))
+        self._step_owner.reset(place.p_ned, place.q_ned_frd)
         self._step = self._step_owner.step
         self._pose: Any = self._step_owner.pose
         self._sensed: Any = self._step_owner.sensed

@@ -40,6 +40,8 @@ FOREIGN_US = 5_000_000
 """Interval of the check for messages of another dialect version."""
 FOREIGN_COUNT_MIN = 3
 """Least number of wrong checksums in FOREIGN_US that noise does not explain."""
+REBOOT_DELAY_US = 500_000
+"""Time from the acknowledgement of a reboot to the reboot, in which it reaches the station."""
 CATCH_UP_TICKS = 20
 """Greatest number of missed ticks that one tick runs in addition."""
 
@@ -76,6 +78,8 @@ class FlightMcu:
     ----------
     motor_command
         View of four numbers in 0..1, updated by each tick. The view itself never changes.
+    reboot_us
+        Time at which a station has asked the processor to reboot; NEVER_US before.
     late_ticks
         Number of ticks that started later than one tick after the previous one.
     unsendable
@@ -99,6 +103,7 @@ class FlightMcu:
         check: Callable[..., Verdict] = check_blob,
     ) -> None:
         self.uart = flight_uart() if uart is None else uart
+        self.reboot_us = NEVER_US
         self.late_ticks = 0
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
@@ -131,6 +136,7 @@ class FlightMcu:
                 on_upload=self._uploaded,
                 on_limits=self._limits_changed,
                 on_parameter=store.settings.change,
+                on_reboot=self._plan_reboot,
             ),
         )
         self._out: list[bytes] = []
@@ -194,6 +200,8 @@ class FlightMcu:
         flight = self.flight
         streams = self._services.streams
         flight.update(now_us, self._battery_v)
+        if not self._disarmed():
+            self.reboot_us = NEVER_US  # armed since the reboot was accepted
         if self._agreed_swap.at_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
         if not self._link_reserved_for_upload(
@@ -274,6 +282,9 @@ class FlightMcu:
             bad_bytes=self._codec.bad_bytes,
         )
         return telemetry.status(self.flight, now_us, board)
+
+    def _plan_reboot(self, now_us: int) -> None:
+        self.reboot_us = now_us + REBOOT_DELAY_US
 
     # Blobs.
 

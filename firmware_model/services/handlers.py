@@ -64,6 +64,7 @@ class Hooks:
     send: sends a message. status: returns FC_STATUS at a time in us. battery_v: returns the battery voltage.
     on_upload: receives each event of an upload. on_limits: called after a change of the limits that
     references are checked against. on_parameter: receives name and value of a parameter that was set.
+    on_reboot: receives the time at which a reboot was accepted.
     """
 
     send: Callable[[Message], None]
@@ -72,6 +73,7 @@ class Hooks:
     on_upload: Callable[[ReceiverEvent], None]
     on_limits: Callable[[], None]
     on_parameter: Callable[[str, float], None]
+    on_reboot: Callable[[int], None]
 
 
 class Handlers:
@@ -113,7 +115,7 @@ class Handlers:
         )
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.report_upload)
         self._ftp = FtpServer(files, send=send, may_write=self.ownership.may_act)
-        commands = self._commands(hooks.status)
+        commands = self._commands(hooks)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
@@ -136,8 +138,8 @@ class Handlers:
             m.UploadAbort: self._upload_message,
         }
 
-    def _commands(self, status: Callable[[int], Message]) -> Commands:
-        """Return the handler of commands. status: returns FC_STATUS at a time in us."""
+    def _commands(self, hooks: Hooks) -> Commands:
+        """Return the handler of commands."""
         return Commands(
             flight=self._flight,
             ownership=self.ownership,
@@ -146,11 +148,12 @@ class Handlers:
             text=self.text,
             requests={
                 m.AutopilotVersion.id: lambda now_us: self._version(),
-                m.FcStatus.id: status,
+                m.FcStatus.id: hooks.status,
                 m.Heartbeat.id: lambda now_us: heartbeat(self._flight),
                 **self.streams.requests(),
             },
             on_upload=self.report_upload,
+            on_reboot=hooks.on_reboot,
             more=self.streams.commands(),
         )
 

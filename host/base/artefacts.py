@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, BinaryIO
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.text import readable
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Error numbers for a file that cannot be written completely. The user can fix these; they are not bugs."""
@@ -111,7 +112,7 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
 def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:
     """Write the complete content to `path` or nothing, and return the path. Raises UsageError."""
     with open_atomic(path, force) as file:
-        file.write(content.encode() if isinstance(content, str) else content)
+        file.write(readable(content).encode() if isinstance(content, str) else content)
     return Path(path)
 
 
@@ -152,10 +153,10 @@ def git_state() -> str | None:
         return None
     command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
     try:
-        answer = subprocess.run(command, capture_output=True, text=True, check=False, timeout=10)
+        answer = subprocess.run(command, capture_output=True, check=False, timeout=10)
     except (OSError, subprocess.TimeoutExpired):
         return None
-    return answer.stdout.strip() or None
+    return answer.stdout.decode(errors="replace").strip() or None
 
 
 def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequence[str] = ()) -> list[str]:
@@ -194,7 +195,7 @@ def public_command(argv: Sequence[str] | None = None) -> str:
             public.append(f"{option}={_without_folder(value)}")
         else:
             public.append(_without_folder(word))
-    return " ".join(public)
+    return readable(" ".join(public))
 
 
 def provenance(

@@ -10,6 +10,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.text import ESCAPE, readable
+
 _emitted = False
 _NARROWEST = 20
 """Columns. The help cannot be formatted in fewer."""
@@ -18,8 +20,9 @@ _NARROWEST = 20
 def prepare() -> None:
     """Make the standard streams safe to write to, and reset the state of `emitted`.
 
-    A closed stream is replaced by the null device. Characters that stdout cannot encode are written as escape
-    sequences. A terminal with fewer than 20 columns is treated as one of 20.
+    A closed stream is replaced by the null device. Characters that a stream cannot encode are written as
+    escape sequences, but those of file names as their bytes. A terminal with fewer than 20 columns is treated
+    as one of 20.
     """
     global _emitted
     _emitted = False
@@ -30,8 +33,9 @@ def prepare() -> None:
         sys.stdout = open(1, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
     if sys.stderr is None:
         sys.stderr = open(2, "w", encoding="utf-8", closefd=False)  # noqa: SIM115
-    if isinstance(sys.stdout, io.TextIOWrapper):
-        sys.stdout.reconfigure(errors="backslashreplace")
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors=ESCAPE)
     columns = os.environ.get("COLUMNS", "")
     if columns.isdigit() and int(columns) < _NARROWEST:
         os.environ["COLUMNS"] = str(_NARROWEST)
@@ -42,7 +46,8 @@ def json_text(result: Mapping[str, Any]) -> str:
 
     Absent values must be None: raises ValueError on NaN or infinity.
     """
-    return json.dumps(result, allow_nan=False, default=_plain)
+    text = json.dumps(result, allow_nan=False, default=_plain, ensure_ascii=False)
+    return text if text.isascii() else json.dumps(json.loads(readable(text, "surrogateescape")))
 
 
 def emit(result: Mapping[str, Any], as_json: bool) -> None:

@@ -11,11 +11,13 @@ import logging
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
 import casadi as ca
 
+from trimtab.host.base.text import readable
 from trimtab.host.codegen.compiler import (
     CodegenError,
     engine_choice,
@@ -128,11 +130,11 @@ def compile_function(
     try:
         path = shared_library(source, compiler, native=native)
         try:
-            return ca.external(name, str(path)), "c"
+            return _external(name, path), "c"
         except RuntimeError:  # for another machine, or damaged: compile it again, once
             path.unlink(missing_ok=True)
             path = shared_library(source, compiler, native=native)
-            return ca.external(name, str(path)), "c"
+            return _external(name, path), "c"
     except (CodegenError, RuntimeError, OSError) as error:
         if engine_choice(engine) == "c":
             if isinstance(error, CodegenError):
@@ -141,6 +143,11 @@ def compile_function(
             raise CodegenError(f"the compiled {name} in {place.parent} cannot be used: {error}") from None
         _log.warning("%s; going on without it, slower", error)
         return function, "vm"
+
+
+def _external(name: str, path: Path) -> ca.Function:
+    """Return the compiled function. CasADi takes the path as UTF-8, whatever the locale."""
+    return ca.external(name, readable(str(path)))
 
 
 def function_engine(

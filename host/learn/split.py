@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Literal
 
 import numpy as np
@@ -11,7 +12,7 @@ import numpy as np
 from trimtab.host.learn.ahead import ahead
 from trimtab.host.learn.candidates import Candidate, Trial
 from trimtab.host.learn.evaluate import Errors, whole_flights
-from trimtab.host.log import Flight
+from trimtab.host.log import Flight, is_same_flight
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.states import States, flight_states
 
@@ -40,10 +41,12 @@ class Split:
     ) -> Split:
         """Return the flights; None as `hold_out` splits them by reference.
 
-        Raises TooLittleData for flights of two vehicles, for a reference on both sides, and for flights by a
-        controller on the host that are not held out, or held out beside others.
+        Raises TooLittleData for flights of two vehicles, for a flight given twice, for a reference on both
+        sides, and for flights by a controller on the host that are not held out, or held out beside others.
         """
-        _check_one_vehicle([*flights, *(hold_out or ())])
+        every = [*flights, *(hold_out or ())]
+        _check_one_vehicle(every)
+        _check_distinct(every)
         test_drive = _check_controllers(flights, hold_out or ())
         used = flight_states(flights, latency_s=latency_s)
         if hold_out is None:
@@ -56,7 +59,7 @@ class Split:
                 raise TooLittleData(
                     f"held-out flights share the reference {names} with the others; hold out others"
                 )
-        logs = {flight.id: flight for flight in [*flights, *(hold_out or ())]}
+        logs = {flight.id: flight for flight in every}
         return cls(used=used, test=test, logs=logs, latency_s=latency_s, test_drive=test_drive)
 
     def trial(self, candidate: Candidate) -> Trial:
@@ -133,3 +136,10 @@ def _check_one_vehicle(flights: Sequence[Flight]) -> None:
                 f"{flight.path.name} flew with other firmware parameters than {first.path.name}; "
                 "learn from flights of one setting"
             )
+
+
+def _check_distinct(flights: Sequence[Flight]) -> None:
+    """Raise TooLittleData if two of the logs hold the same flight."""
+    for earlier, flight in combinations(flights, 2):
+        if is_same_flight(earlier, flight):
+            raise TooLittleData(f"{flight.path}: the same flight as {earlier.path}; give it once")

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from trimtab.host.base.text import readable
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import blob_id
 
@@ -56,4 +57,4 @@ class Provenance:
         reserved = sorted(set(entries) & set(self.session))
         if reserved:
             raise ValueError(f"session entries {reserved} are reserved names")
-        return dict(sorted({**entries, **self.session}.items()))
+        return {key: readable(value) for key, value in sorted({**entries, **self.session}.items())}

@@ -61,6 +61,13 @@ def _columns(messages: Sequence[Any], get: Callable[[Any], Sequence[float]], wid
     return np.array(rows, dtype=float).reshape(len(rows), width)
 
 
+def _quaternions(messages: Sequence[Any]) -> Floats:
+    """Return the attitudes, (n, 4), as NaN where all four values are zero, which is no attitude."""
+    rows = _columns(messages, lambda m: m.q_ned_frd, 4)
+    rows[~rows.any(axis=1)] = np.nan
+    return rows
+
+
 def _scalars(messages: Sequence[Any], name: str) -> Floats:
     return np.array([getattr(message, name) for message in messages], dtype=float)
 
@@ -87,7 +94,7 @@ def read_mocap(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Mocap |
         t_us=source_us - shifts_us,
         t_arrival_us=_times([entry.log_time_us for entry, _ in pairs]),
         p=_columns(messages, lambda m: m.p_ned_m, 3),
-        q=_columns(messages, lambda m: m.q_ned_frd, 4),
+        q=_quaternions(messages),
     )
 
 
@@ -101,7 +108,7 @@ def read_estimate(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Esti
         t_us=_counts(messages, "source_us") - shift_us,
         p=_columns(messages, lambda m: m.p_ned_m, 3),
         v=_columns(messages, lambda m: m.v_ned_m_s, 3),
-        q=_columns(messages, lambda m: m.q_ned_frd, 4),
+        q=_quaternions(messages),
         rate=_columns(messages, lambda m: m.rate_frd_rad_s, 3),
         gyro_bias=_columns(messages, lambda m: m.gyro_bias_rad_s, 3),
         mocap_age_s=_scalars(messages, "mocap_age_us") * 1e-6,

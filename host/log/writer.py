@@ -21,6 +21,7 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from trimtab.host.base.text import readable
 from trimtab.host.log import topics
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.mcap_file import McapFile, Sink
@@ -239,7 +240,7 @@ class LogWriter:
         """Write `/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` is the sender."""
         message = self._messages.text
         message.level = _foxglove_level(severity)
-        message.message = text
+        message.message = readable(text)
         message.name = name
         _stamp(message.timestamp, max(publish_us, 0))
         return self.write(topics.LOG, message, log_us, publish_us)

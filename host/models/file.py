@@ -12,6 +12,7 @@ from pydantic import Field
 
 from trimtab.host.base import artefacts
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.text import file_name
 from trimtab.host.models.model import Assessment, Covariance, Model, VerdictCode, network_digest
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
@@ -168,7 +169,7 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
     """Return the network with the weights in the model file's folder."""
     if Path(table.file).name != table.file:
         raise ModelFileError(f"{path.name}: network.file {table.file!r} must be a name in the same folder")
-    weights = path.with_name(table.file)
+    weights = path.with_name(file_name(table.file))
     try:
         with np.load(weights, allow_pickle=False) as archive:
             xi = np.asarray(archive["xi"], dtype=float)

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from importlib.resources import files
 from typing import Any
 
 from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoescape
+
+from trimtab.host.base.output import json_text
 
 
 def render(template: str, **values: Any) -> str:
@@ -26,4 +27,4 @@ def render(template: str, **values: Any) -> str:
 
 def script_data(answer: Mapping[str, Any]) -> str:
     """Return JSON that is safe inside a script element."""
-    return json.dumps(answer, allow_nan=False).replace("</", "<\\/")
+    return json_text(answer).replace("</", "<\\/")

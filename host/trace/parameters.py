@@ -165,8 +165,8 @@ class ParameterSpace:
         else:
             cause = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
         raise UsageError(
-            f"the model with {cause} diverges; bound the values that the functions of the effect file "
-            "return, or remove the effect"
+            f"the model with {cause} diverges on these flights; leave out one log at a time to find wrong "
+            "values, or bound what the functions of your own effect file return"
         )
 
     def at_bound(

@@ -39,7 +39,8 @@ class SitlOptions:
     flight
         Index of the flight.
     start
-        Position at which the vehicle stands, north and east in m.
+        Position at which the vehicle stands, north and east in m. It stands there again if it has crashed and
+        a ground station reboots it.
     memory
         File for the vehicle's memory: live blobs, unfinished uploads, parameters. Made if missing. Without
         it, the memory is lost when the run ends.

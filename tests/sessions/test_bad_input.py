@@ -29,7 +29,7 @@ import pytest
 from trimtab.host import cli
 from trimtab.host.base import output
 from trimtab.host.base.errors import EXIT_CODES
-from trimtab.host.log import LogError, read_flight
+from trimtab.host.log import LogError, read_flight, recover
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
 from trimtab.host.vehicle import Vehicle, load_vehicle
@@ -352,9 +352,32 @@ def test_log_held_out_and_used_is_refused(refused: Refused, log: str) -> None:
         "--hold-out",
         log,
         code=2,
-        parts=["the same log as", "give it once"],
+        parts=["the same flight as", "give it once"],
         refusal="log-given-twice",
     )
+    refused("learn", log, log, code=2, parts=["the same flight as", "give it once"])
+
+
+def test_recovered_copy_of_a_log_is_refused_as_the_same_flight(
+    refused: Refused, log: str, tmp_path: Path
+) -> None:
+    content = (tmp_path / log).read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(content[: len(content) * 9 // 10])
+    recover(tmp_path / "cut.mcap", tmp_path / "copy.mcap")
+    parts = ["copy.mcap: the same flight as flight.mcap; give it once"]
+    refused("trace", log, "copy.mcap", code=2, parts=parts, refusal="log-given-twice")
+    refused("trace", log, "--hold-out", "copy.mcap", code=2, parts=parts, refusal="log-given-twice")
+    refused("learn", log, "copy.mcap", code=2, parts=parts)
+    refused("learn", log, "--hold-out", "copy.mcap", code=2, parts=parts)
+
+
+def test_flights_without_noise_of_their_own_are_refused(refused: Refused, log: str, tmp_path: Path) -> None:
+    """Of another session by its metadata, the copy is taken for a repeat flight with the same noise."""
+    content = (tmp_path / log).read_bytes()
+    uid = read_flight(tmp_path / log).metadata["session_uid"].encode()
+    assert content.count(uid) == 1
+    (tmp_path / "copy.mcap").write_bytes(content.replace(uid, uid[::-1]))
+    refused("trace", log, "copy.mcap", code=2, parts=["the flights do not determine a fit"])
 
 
 @pytest.mark.parametrize("more", ["", REFERENCE], ids=["no inputs", "reference only"])

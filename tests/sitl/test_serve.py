@@ -23,11 +23,14 @@ from trimtab.protocol.messages import (
     CAMERAS,
     HOST,
     AttPosMocap,
+    CommandLong,
+    FcStatus,
     Heartbeat,
     ParamRequestList,
     ParamValue,
     host_heartbeat,
     is_vehicle,
+    mavlink,
 )
 from trimtab.protocol.parameters import PARAMETERS
 from trimtab.sitl import ports
@@ -338,6 +341,28 @@ def test_two_stations_read_all_parameters_at_the_same_time() -> None:
         while any(len(indices) < len(PARAMETERS) for indices in found.values()):
             for client in select.select(list(stations), [], [])[0]:
                 listen(client)
+
+
+def test_reboot_keeps_the_port_and_its_station() -> None:
+    clean = {"loss": 0.0, "corrupt": 0.0}
+    vehicle = SimulatedVehicle.create(load_vehicle("research"), world="quiet", radio=clean)
+    with (
+        served(vehicle, "udp:127.0.0.1:0", realtime=False) as (address, _),
+        socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as station,
+    ):
+        host, port = address.removeprefix("udp:").split(":")
+        station.connect((host, int(port)))
+        codec, ticks = Codec(*HOST), [-1]
+        reboot = CommandLong(1, 1, mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, 0, 1.0, *(0.0,) * 6)
+        station.send(codec.encode(host_heartbeat()))
+        while ticks[-1] < 1000:
+            ticks += [m.tick for m in codec.decode(station.recv(4096)) if isinstance(m, FcStatus)]
+        station.send(codec.encode(reboot))
+        while ticks[-1] >= ticks[-2]:
+            station.send(codec.encode(host_heartbeat()))
+            ticks += [m.tick for m in codec.decode(station.recv(4096)) if isinstance(m, FcStatus)]
+        assert ticks[-1] < 1000
+    assert vehicle.now_us > 1_000_000
 
 
 def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPatch) -> None:

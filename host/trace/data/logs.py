@@ -8,7 +8,7 @@ from itertools import combinations
 from typing import Literal
 
 from trimtab.host.effects import Effect
-from trimtab.host.log import Flight
+from trimtab.host.log import Flight, is_same_flight
 from trimtab.host.trace.data.signals import FlightData, has_signals, unknowns
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import Vehicle
@@ -50,7 +50,7 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
     """Return the data of all flights, which must be of one vehicle.
 
     vehicle: the vehicle of the flights; that of the first flight if None. Raises LogsRefused for a log of
-    another vehicle, a log given twice, a held-out flight whose reference is also used, and a log without
+    another vehicle, a flight given twice, a held-out flight whose reference is also used, and a log without
     poses or tracking phase.
     """
     first = vehicle or flights[0].vehicle
@@ -63,11 +63,12 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
                 f"not of {first.name} ({first.id}): {_differences(flight.vehicle, first)}; "
                 "trace each vehicle's logs separately",
             )
-        if flight.id in by_id:
-            raise LogsRefused(
-                Code.LOG_GIVEN_TWICE,
-                f"{flight.path}: the same log as {by_id[flight.id].flight.path}; give it once",
-            )
+        for earlier in by_id.values():
+            if is_same_flight(earlier.flight, flight):
+                raise LogsRefused(
+                    Code.LOG_GIVEN_TWICE,
+                    f"{flight.path}: the same flight as {earlier.flight.path}; give it once",
+                )
         by_id[flight.id] = FlightData.of(flight)
     used = {flight.reference_id for flight in flights if flight.reference_id is not None}
     for flight in held_out:

@@ -6,6 +6,8 @@ import gc
 import os
 import pickle
 import signal
+import subprocess
+import sys
 from array import array
 
 import casadi as ca
@@ -247,3 +249,22 @@ def test_blocks_of_the_same_name_raise_value_error():
 def test_engine_refuses_to_be_pickled():
     with pytest.raises(TypeError, match="cannot be pickled"):
         pickle.dumps(compile_blocks(_example, IN, OUT, "example", engine="vm"))
+
+
+def test_engine_is_compiled_in_a_folder_that_the_locale_cannot_decode(tmp_path, require):
+    require("compiler")
+    code = (
+        "import casadi as ca\n"
+        "from trimtab.host.codegen import compile_function\n"
+        "x = ca.SX.sym('x')\n"
+        "double = ca.Function('double_it', [x], [2 * x])\n"
+        "compiled, kind = compile_function(double, engine='c')\n"
+        "print(kind, compiled(3))\n"
+    )
+    locale = {"LC_ALL": "C", "PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0"}
+    folder = {"XDG_CACHE_HOME": str(tmp_path / "cäche")}
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, check=True, env={**os.environ, **locale, **folder}
+    )
+    assert done.stdout == b"c 6\n"
+    assert list((tmp_path / "cäche").rglob("*.so"))

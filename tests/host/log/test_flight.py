@@ -156,6 +156,20 @@ def test_read_flight_row_that_is_not_finite_is_left_out(tmp_path: Path, provenan
     assert mocap.left_out == 1
 
 
+def test_read_flight_row_whose_quaternion_is_zero_is_left_out(tmp_path: Path, provenance: Provenance) -> None:
+    path = tmp_path / "x.mcap"
+    zeros = (0.0, 0.0, 0.0)
+    with LogWriter(path, provenance) as log:
+        for k, w in enumerate((1.0, 0.0, 1.0)):
+            log.pose(Stamps(k, k, k), 0, (k, 0.0, 0.0), (w, *zeros))
+            log.estimate(Stamps(k, k, k), (k, 0.0, 0.0), zeros, (w, *zeros), zeros, zeros, 1)
+    flight = read_flight(path)
+    for track in (flight.mocap, flight.estimate):
+        assert track is not None
+        np.testing.assert_array_equal(track.p[:, 0], [0.0, 2.0])
+        assert track.left_out == 1
+
+
 def test_display_pose_heading_north_points_along_y(provenance: Provenance) -> None:
     stream = io.BytesIO()
     with LogWriter(stream, provenance) as log:

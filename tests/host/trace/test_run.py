@@ -54,7 +54,7 @@ def test_a_log_given_twice_is_refused(tmp_path: Path, held_out: bool) -> None:
     one = read_flight(log(tmp_path / "one.mcap"))
     again = read_flight(Path(shutil.copy(tmp_path / "one.mcap", tmp_path / "again.mcap")))
     with pytest.raises(
-        LogsRefused, match=r"again\.mcap: the same log as .*one\.mcap; give it once"
+        LogsRefused, match=r"again\.mcap: the same flight as .*one\.mcap; give it once"
     ) as refusal:
         read_logs([one] if held_out else [one, again], [again] if held_out else [], None)
     assert refusal.value.details == {"code": Code.LOG_GIVEN_TWICE}
