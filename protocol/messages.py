@@ -72,7 +72,20 @@ NO_NODE = 0xFFFF
 FORCE = 21196.0
 """COMMAND_LONG.param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm in flight."""
 
-_MARK = 0x54
+_OLD_MARK = 0x54  # top byte of custom_mode up to dialect version 2
+_MARK = 0x15  # bits 10 to 15 of custom_mode, above six bits of dialect version and four of state
+_MARK_SHIFT, _VERSION_SHIFT, _VERSION_MASK = 10, 4, 0x3F
+_AUTO, _OFFBOARD = 4, 6
+_PX4_MODES: dict[int, tuple[int, int]] = {
+    mavlink.TRIMTAB_STATE_TAKEOFF: (_AUTO, 2),
+    mavlink.TRIMTAB_STATE_TRACKING: (_AUTO, 4),
+    mavlink.TRIMTAB_STATE_HOLD: (_AUTO, 3),
+    mavlink.TRIMTAB_STATE_LANDING: (_AUTO, 6),
+    mavlink.TRIMTAB_STATE_FAILSAFE: (_AUTO, 6),
+    mavlink.TRIMTAB_STATE_OFFBOARD: (_OFFBOARD, 0),
+}
+"""PX4's main and sub mode (takeoff, mission, hold, land, offboard) by state; any other state is READY."""
+_PX4_READY = (_AUTO, 1)
 VENDOR_ID = 0x5454
 """AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; its product_id is the dialect version."""
 
@@ -104,7 +117,11 @@ class UploadResult(IntEnum):
 
 
 def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Heartbeat:
-    """Return the heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..255)."""
+    """Return the heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..15).
+
+    The upper half of custom_mode is PX4's, which stock clients decode: sub mode in bits 24 to 31, main mode
+    in bits 16 to 23. The lower half, which PX4 reserves, holds a mark, the dialect version and the state.
+    """
     mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
     if failsafe:
         status = mavlink.MAV_STATE_CRITICAL
@@ -112,14 +129,15 @@ def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Hea
         status = mavlink.MAV_STATE_ACTIVE
     else:
         status = mavlink.MAV_STATE_BOOT if state == mavlink.TRIMTAB_STATE_BOOT else mavlink.MAV_STATE_STANDBY
-    custom_mode = _MARK << 24 | DIALECT_VERSION << 16 | state
+    main_mode, sub_mode = _PX4_MODES.get(state, _PX4_READY)
+    custom_mode = sub_mode << 24 | main_mode << 16 | _identification() | state
     return Heartbeat(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, mode, custom_mode, status, 3)
 
 
 def host_heartbeat() -> Heartbeat:
     """Return the heartbeat of a ground station."""
     mode, status = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mavlink.MAV_STATE_ACTIVE
-    return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _MARK << 24, status, 3)
+    return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _identification(), status, 3)
 
 
 def sender_of(message: Message) -> tuple[int, int]:
@@ -129,7 +147,7 @@ def sender_of(message: Message) -> tuple[int, int]:
 
 def is_own_host(heartbeat: Heartbeat) -> bool:
     """Return whether the sender is Trimtab's ground station, which understands the private messages."""
-    return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and heartbeat.custom_mode >> 24 == _MARK
+    return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and _is_marked(heartbeat.custom_mode)
 
 
 def dialect_version(heartbeat: Heartbeat) -> int | None:
@@ -137,11 +155,22 @@ def dialect_version(heartbeat: Heartbeat) -> int | None:
 
     The private messages can be read only if the version equals DIALECT_VERSION.
     """
-    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC or heartbeat.custom_mode >> 24 != _MARK:
+    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC:
         return None
-    return (heartbeat.custom_mode >> 16) & 0xFF
+    if heartbeat.custom_mode >> 24 == _OLD_MARK:
+        return (heartbeat.custom_mode >> 16) & 0xFF
+    return heartbeat.custom_mode >> _VERSION_SHIFT & _VERSION_MASK if _is_marked(heartbeat.custom_mode) else None
 
 
 def is_vehicle(heartbeat: Heartbeat) -> bool:
     """Return whether the sender is a flight controller of any make rather than part of a ground station."""
     return heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+
+
+def _identification() -> int:
+    """Return mark and dialect version at their place in custom_mode."""
+    return _MARK << _MARK_SHIFT | DIALECT_VERSION << _VERSION_SHIFT
+
+
+def _is_marked(custom_mode: int) -> bool:
+    return (custom_mode & 0xFFFF) >> _MARK_SHIFT == _MARK

@@ -1,6 +1,6 @@
 """What finds messages in a byte stream. Made by `python -m trimtab.protocol.generate`."""
 
-DIALECT_VERSION = 2
+DIALECT_VERSION = 3
 
 # id: (name, checksum seed, longest payload in bytes)
 MESSAGES: dict[int, tuple[str, int, int]] = {

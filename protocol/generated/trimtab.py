@@ -952,9 +952,10 @@ MAVLINK_MSG_ID_UPLOAD_ABORT = 52115
 
 class MAVLink_heartbeat_message(MAVLink_message):
     """
-    The sender is present. A Trimtab vehicle's custom_mode holds 0x54
-    in its top byte, the version of this dialect in the next one and
-    its TRIMTAB_STATE in the lowest.
+    The sender is present. A Trimtab vehicle's custom_mode holds PX4's
+    sub mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+    0x15 in bits 10-15, the version of this dialect in bits 4-9 and
+    its TRIMTAB_STATE in bits 0-3.
     """
 
     id = MAVLINK_MSG_ID_HEARTBEAT
@@ -3220,9 +3221,10 @@ class MAVLink(object):
 
     def heartbeat_encode(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int = 3) -> MAVLink_heartbeat_message:
         """
-        The sender is present. A Trimtab vehicle's custom_mode holds 0x54 in
-        its top byte, the version of this dialect in the next one and
-        its TRIMTAB_STATE in the lowest.
+        The sender is present. A Trimtab vehicle's custom_mode holds PX4's sub
+        mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+        0x15 in bits 10-15, the version of this dialect in bits 4-9
+        and its TRIMTAB_STATE in bits 0-3.
 
         type                      : Vehicle or component type. (type:uint8_t, values:MAV_TYPE)
         autopilot                 : Autopilot type / class. (type:uint8_t, values:MAV_AUTOPILOT)
@@ -3236,9 +3238,10 @@ class MAVLink(object):
 
     def heartbeat_send(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int = 3, force_mavlink1: bool = False) -> None:
         """
-        The sender is present. A Trimtab vehicle's custom_mode holds 0x54 in
-        its top byte, the version of this dialect in the next one and
-        its TRIMTAB_STATE in the lowest.
+        The sender is present. A Trimtab vehicle's custom_mode holds PX4's sub
+        mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+        0x15 in bits 10-15, the version of this dialect in bits 4-9
+        and its TRIMTAB_STATE in bits 0-3.
 
         type                      : Vehicle or component type. (type:uint8_t, values:MAV_TYPE)
         autopilot                 : Autopilot type / class. (type:uint8_t, values:MAV_AUTOPILOT)

@@ -106,15 +106,29 @@ def test_generate_gives_the_committed_bytes(tmp_path: Path) -> None:
 def test_vehicle_heartbeat_tells_the_dialect_version_and_state() -> None:
     heartbeat = m.vehicle_heartbeat(4, armed=True)
     assert m.dialect_version(heartbeat) == DIALECT_VERSION
-    assert heartbeat.custom_mode & 0xFF == 4
+    assert heartbeat.custom_mode & 0xF == 4
     assert heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     assert m.is_vehicle(heartbeat)
 
 
+def test_vehicle_heartbeat_has_px4s_modes_in_its_upper_half() -> None:
+    """Numbers from PX4's px4_custom_mode.h, which stock ground stations decode."""
+    ready, takeoff, hold, mission, land = (0x04 | sub << 8 for sub in (1, 2, 3, 4, 6))
+    offboard = 0x06
+    modes = [m.vehicle_heartbeat(state, armed=True).custom_mode >> 16 for state in range(9)]
+    assert modes == [ready, ready, ready, takeoff, mission, hold, land, land, offboard]
+
+
+def test_heartbeat_holds_every_dialect_version_that_may_follow() -> None:
+    assert DIALECT_VERSION <= 0x3F, "custom_mode has six bits for the version"
+
+
 def test_heartbeats_of_others_are_told_apart() -> None:
     newer = m.vehicle_heartbeat(1, armed=False)
-    newer.custom_mode += 1 << 16
+    newer.custom_mode += 1 << 4
     assert m.dialect_version(newer) == DIALECT_VERSION + 1
+    older = m.Heartbeat(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, 1, 0x54020001, 3, 3)
+    assert m.dialect_version(older) == 2  # the layout before version 3
     px4 = m.Heartbeat(mavlink.MAV_TYPE_QUADROTOR, 12, 81, 0x03040000, 4, 3)
     assert m.is_vehicle(px4)
     assert m.dialect_version(px4) is None
