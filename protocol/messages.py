@@ -56,7 +56,13 @@ UploadCommit = mavlink.MAVLink_upload_commit_message
 UploadAbort = mavlink.MAVLink_upload_abort_message
 
 VEHICLE = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
-"""System and component of the flight processor."""
+"""System and component of the flight processor, for standard messages."""
+VEHICLE_FAST = (1, mavlink.MAV_COMP_ID_USER1)
+"""Sender of FC_CONTROL, FC_ESTIMATE and FC_OBSERVER, which overtake other messages in the radio."""
+VEHICLE_PRIVATE = (1, mavlink.MAV_COMP_ID_USER2)
+"""Sender of the vehicle's other private messages. Stock clients do not count unknown messages as received."""
+PRIVATE_ID_MIN = 52100
+"""Least message id of the private dialect."""
 VEHICLE_RADIO = (1, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
 HOST = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 HOST_RADIO = (255, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
@@ -159,7 +165,9 @@ def dialect_version(heartbeat: Heartbeat) -> int | None:
         return None
     if heartbeat.custom_mode >> 24 == _OLD_MARK:
         return (heartbeat.custom_mode >> 16) & 0xFF
-    return heartbeat.custom_mode >> _VERSION_SHIFT & _VERSION_MASK if _is_marked(heartbeat.custom_mode) else None
+    if not _is_marked(heartbeat.custom_mode):
+        return None
+    return heartbeat.custom_mode >> _VERSION_SHIFT & _VERSION_MASK
 
 
 def is_vehicle(heartbeat: Heartbeat) -> bool:
