@@ -41,6 +41,7 @@ class Server:
             upload=self.upload,
             text=lambda severity, text: self.texts.append(text),
             on_upload=lambda events, now_us: self.events.extend(events),
+            least_bytes=len,
         )
         self.server = FtpServer(files, send=self.sent.append)
         self.now_us = 0
