@@ -66,6 +66,7 @@ __all__ = [
     "YawNode",
     "blob_id",
     "from_bytes",
+    "least_bytes",
 ]
 
 BLOB_BYTES_MAX = 256 * 1024
@@ -192,6 +193,17 @@ class Reference:
 
 
 Blob = Reference | FeedForward
+
+
+def least_bytes(head: bytes) -> int:
+    """Return the least length in bytes of a blob that begins with `head`, by the counts in its header.
+
+    It is the exact length of a reference. Raises BlobError if the header is incomplete or invalid.
+    """
+    kind = kind_of(head)
+    header = unpack_header(head, kind, versions=range(256))
+    sizes = (NODE_BYTES, YAW_BYTES) if kind is Kind.REFERENCE else (4, 4)
+    return HEADER_BYTES + header.first * sizes[0] + header.second * sizes[1]
 
 
 def from_bytes(data: bytes) -> Blob:

@@ -20,9 +20,15 @@ ParamRequestList = mavlink.MAVLink_param_request_list_message
 ParamValue = mavlink.MAVLink_param_value_message
 ParamSet = mavlink.MAVLink_param_set_message
 SysStatus = mavlink.MAVLink_sys_status_message
+ParamError = mavlink.MAVLink_param_error_message
 Attitude = mavlink.MAVLink_attitude_message
 AttitudeQuaternion = mavlink.MAVLink_attitude_quaternion_message
 LocalPositionNed = mavlink.MAVLink_local_position_ned_message
+GlobalPosition = mavlink.MAVLink_global_position_int_message
+SetGpsGlobalOrigin = mavlink.MAVLink_set_gps_global_origin_message
+GpsGlobalOrigin = mavlink.MAVLink_gps_global_origin_message
+Altitude = mavlink.MAVLink_altitude_message
+VfrHud = mavlink.MAVLink_vfr_hud_message
 Odometry = mavlink.MAVLink_odometry_message
 BatteryStatus = mavlink.MAVLink_battery_status_message
 ExtendedSysState = mavlink.MAVLink_extended_sys_state_message
@@ -33,6 +39,9 @@ MissionRequestList = mavlink.MAVLink_mission_request_list_message
 MissionCount = mavlink.MAVLink_mission_count_message
 MissionClearAll = mavlink.MAVLink_mission_clear_all_message
 MissionAck = mavlink.MAVLink_mission_ack_message
+LogRequestList = mavlink.MAVLink_log_request_list_message
+LogEntry = mavlink.MAVLink_log_entry_message
+SerialControl = mavlink.MAVLink_serial_control_message
 FileTransfer = mavlink.MAVLink_file_transfer_protocol_message
 SetPositionTarget = mavlink.MAVLink_set_position_target_local_ned_message
 SetAttitudeTarget = mavlink.MAVLink_set_attitude_target_message
@@ -56,7 +65,13 @@ UploadCommit = mavlink.MAVLink_upload_commit_message
 UploadAbort = mavlink.MAVLink_upload_abort_message
 
 VEHICLE = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
-"""System and component of the flight processor."""
+"""System and component of the flight processor, for standard messages."""
+VEHICLE_FAST = (1, mavlink.MAV_COMP_ID_USER1)
+"""Sender of FC_CONTROL, FC_ESTIMATE and FC_OBSERVER, which overtake other messages in the radio."""
+VEHICLE_PRIVATE = (1, mavlink.MAV_COMP_ID_USER2)
+"""Sender of the vehicle's other private messages. Stock clients do not count unknown messages as received."""
+PRIVATE_ID_MIN = 52100
+"""Least message id of the private dialect."""
 VEHICLE_RADIO = (1, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
 HOST = (255, mavlink.MAV_COMP_ID_MISSIONPLANNER)
 HOST_RADIO = (255, mavlink.MAV_COMP_ID_TELEMETRY_RADIO)
@@ -72,7 +87,20 @@ NO_NODE = 0xFFFF
 FORCE = 21196.0
 """COMMAND_LONG.param2 of MAV_CMD_COMPONENT_ARM_DISARM that forces a disarm in flight."""
 
-_MARK = 0x54
+_OLD_MARK = 0x54  # top byte of custom_mode up to dialect version 2
+_MARK = 0x15  # bits 10 to 15 of custom_mode, above six bits of dialect version and four of state
+_MARK_SHIFT, _VERSION_SHIFT, _VERSION_MASK = 10, 4, 0x3F
+_AUTO, _OFFBOARD = 4, 6
+_PX4_MODES: dict[int, tuple[int, int]] = {
+    mavlink.TRIMTAB_STATE_TAKEOFF: (_AUTO, 2),
+    mavlink.TRIMTAB_STATE_TRACKING: (_AUTO, 4),
+    mavlink.TRIMTAB_STATE_HOLD: (_AUTO, 3),
+    mavlink.TRIMTAB_STATE_LANDING: (_AUTO, 6),
+    mavlink.TRIMTAB_STATE_FAILSAFE: (_AUTO, 6),
+    mavlink.TRIMTAB_STATE_OFFBOARD: (_OFFBOARD, 0),
+}
+"""PX4's main and sub mode (takeoff, mission, hold, land, offboard) by state; any other state is READY."""
+_PX4_READY = (_AUTO, 1)
 VENDOR_ID = 0x5454
 """AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; its product_id is the dialect version."""
 
@@ -104,7 +132,11 @@ class UploadResult(IntEnum):
 
 
 def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Heartbeat:
-    """Return the heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..255)."""
+    """Return the heartbeat of a Trimtab vehicle in `state` (TRIMTAB_STATE, 0..15).
+
+    The upper half of custom_mode is PX4's, which stock clients decode: sub mode in bits 24 to 31, main mode
+    in bits 16 to 23. The lower half, which PX4 reserves, holds a mark, the dialect version and the state.
+    """
     mode = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | (mavlink.MAV_MODE_FLAG_SAFETY_ARMED if armed else 0)
     if failsafe:
         status = mavlink.MAV_STATE_CRITICAL
@@ -112,14 +144,15 @@ def vehicle_heartbeat(state: int, *, armed: bool, failsafe: bool = False) -> Hea
         status = mavlink.MAV_STATE_ACTIVE
     else:
         status = mavlink.MAV_STATE_BOOT if state == mavlink.TRIMTAB_STATE_BOOT else mavlink.MAV_STATE_STANDBY
-    custom_mode = _MARK << 24 | DIALECT_VERSION << 16 | state
+    main_mode, sub_mode = _PX4_MODES.get(state, _PX4_READY)
+    custom_mode = sub_mode << 24 | main_mode << 16 | _identification() | state
     return Heartbeat(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, mode, custom_mode, status, 3)
 
 
 def host_heartbeat() -> Heartbeat:
     """Return the heartbeat of a ground station."""
     mode, status = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED, mavlink.MAV_STATE_ACTIVE
-    return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _MARK << 24, status, 3)
+    return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _identification(), status, 3)
 
 
 def sender_of(message: Message) -> tuple[int, int]:
@@ -129,7 +162,7 @@ def sender_of(message: Message) -> tuple[int, int]:
 
 def is_own_host(heartbeat: Heartbeat) -> bool:
     """Return whether the sender is Trimtab's ground station, which understands the private messages."""
-    return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and heartbeat.custom_mode >> 24 == _MARK
+    return heartbeat.autopilot == mavlink.MAV_AUTOPILOT_INVALID and _is_marked(heartbeat.custom_mode)
 
 
 def dialect_version(heartbeat: Heartbeat) -> int | None:
@@ -137,11 +170,24 @@ def dialect_version(heartbeat: Heartbeat) -> int | None:
 
     The private messages can be read only if the version equals DIALECT_VERSION.
     """
-    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC or heartbeat.custom_mode >> 24 != _MARK:
+    if heartbeat.autopilot != mavlink.MAV_AUTOPILOT_GENERIC:
         return None
-    return (heartbeat.custom_mode >> 16) & 0xFF
+    if heartbeat.custom_mode >> 24 == _OLD_MARK:
+        return (heartbeat.custom_mode >> 16) & 0xFF
+    if not _is_marked(heartbeat.custom_mode):
+        return None
+    return heartbeat.custom_mode >> _VERSION_SHIFT & _VERSION_MASK
 
 
 def is_vehicle(heartbeat: Heartbeat) -> bool:
     """Return whether the sender is a flight controller of any make rather than part of a ground station."""
     return heartbeat.autopilot != mavlink.MAV_AUTOPILOT_INVALID
+
+
+def _identification() -> int:
+    """Return mark and dialect version at their place in custom_mode."""
+    return _MARK << _MARK_SHIFT | DIALECT_VERSION << _VERSION_SHIFT
+
+
+def _is_marked(custom_mode: int) -> bool:
+    return (custom_mode & 0xFFFF) >> _MARK_SHIFT == _MARK

@@ -186,6 +186,12 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),
     _row("EST_JUMP_DEG", 45.0, "deg", 1.0, 180.0, "angle from the estimate beyond which a pose is refused"),
+    # The place of the local frame's origin on the globe, of which the vehicle itself makes no use.
+    _row("ORIGIN_LAT_DEG", 47, "deg", -85, 85, "latitude of the origin, rounded down", integer=True),
+    _row("ORIGIN_LAT_E7", 3977420, "1e-7 deg", 0, 9999999, "rest of the latitude", integer=True),
+    _row("ORIGIN_LON_DEG", 8, "deg", -180, 179, "longitude of the origin, rounded down", integer=True),
+    _row("ORIGIN_LON_E7", 5455940, "1e-7 deg", 0, 9999999, "rest of the longitude", integer=True),
+    _row("ORIGIN_ALT", 488.0, "m", -500.0, 9000.0, "altitude of the origin above mean sea level"),
     # Failsafes.
     _row("FS_TILT_DEG", 85.0, "deg", 10.0, 180.0, "tilt that counts as loss of control"),
     _row("FS_TILT_S", 0.3, "s", 0.001, 60.0, "time beyond FS_TILT_DEG before the motors stop"),

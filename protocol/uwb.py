@@ -43,6 +43,10 @@ def _priority(name: str) -> Priority:
 
 PRIORITIES: dict[int, Priority] = {number: _priority(name) for number, (name, _, _) in MESSAGES.items()}
 """Priority of each message by id."""
+_PRIORITIES_IN_ORDER = {
+    number: priority if priority is Priority.FAST_TELEMETRY else Priority.STATUS
+    for number, priority in PRIORITIES.items()
+}
 _UNKNOWN = Priority.STATUS
 
 CAPACITY_BYTES: Mapping[Priority, int] = {
@@ -75,6 +79,8 @@ class FramePacker:
         Capacity of each queue in bytes.
     frame_bytes
         Payload of a frame, at least FRAME_BYTES_MIN.
+    in_order
+        Whether all messages except FAST_TELEMETRY share the class STATUS, so that none overtakes another.
 
     Attributes
     ----------
@@ -94,6 +100,7 @@ class FramePacker:
         poses: int = 1,
         capacity: Mapping[Priority, int] = CAPACITY_BYTES,
         frame_bytes: int = FRAME_BYTES,
+        in_order: bool = False,
     ) -> None:
         if poses < 1:
             raise ValueError(f"poses must be at least 1, not {poses}")
@@ -103,6 +110,7 @@ class FramePacker:
         self.replaced = 0
         self.packed = 0
         self._poses_max = poses
+        self._priorities = _PRIORITIES_IN_ORDER if in_order else PRIORITIES
         self._capacity = [capacity[priority] for priority in Priority]
         self._frame_bytes = frame_bytes
         self.waiting = 0
@@ -124,7 +132,7 @@ class FramePacker:
         if number == _POSE and size <= self._frame_bytes:
             self._offer_pose(message)
             return True
-        priority = PRIORITIES.get(number, _UNKNOWN)
+        priority = self._priorities.get(number, _UNKNOWN)
         queue = self._queues[priority]
         used = self._bytes[priority] + size
         room = self._capacity[priority]

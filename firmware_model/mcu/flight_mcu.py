@@ -22,7 +22,10 @@ from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import (
     DIALECT_VERSION,
     NO_TICK,
+    PRIVATE_ID_MIN,
     VEHICLE,
+    VEHICLE_FAST,
+    VEHICLE_PRIVATE,
     AttPosMocap,
     FcStatus,
     Message,
@@ -31,6 +34,7 @@ from trimtab.protocol.messages import (
 )
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
+from trimtab.protocol.uwb import PRIORITIES, Priority
 
 BAUD = 921_600
 RX_BYTES = 2_048
@@ -115,6 +119,7 @@ class FlightMcu:
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE)
+        self._fast_encoder, self._private_encoder = Codec(*VEHICLE_FAST), Codec(*VEHICLE_PRIVATE)
         self._agreed_swap = AgreedSwap(self.flight, self.parameters)
         self._upload = UploadReceiver(
             store,
@@ -249,8 +254,12 @@ class FlightMcu:
             self.flight.tick(missed_us, gyro, specific_force)
 
     def _queue(self, message: Message) -> None:
+        if PRIORITIES[message.id] is Priority.FAST_TELEMETRY:
+            encoder = self._fast_encoder
+        else:
+            encoder = self._private_encoder if message.id >= PRIVATE_ID_MIN else self._codec
         try:
-            self._out.append(self._codec.encode(message))
+            self._out.append(encoder.encode(message))
         except ValueError:
             self.unsendable += 1
 

@@ -1,6 +1,8 @@
 """The radio processor: moves complete messages between a serial line and radio frames.
 
 It does not decode payloads. The ground radio is a second instance, with the host's port as its serial line.
+The vehicle's radio keeps the order of each component's messages: ground stations count a message that another
+one overtook as lost.
 """
 
 from __future__ import annotations
@@ -21,6 +23,8 @@ AIR_BYTES = 1_024
 """Buffer for bytes received over the air until the next tick. Frames that do not fit are lost and counted."""
 STATS_US = 1_000_000
 """Interval of RADIO_STATS."""
+REPEAT_US = 5_000
+"""Time within which a frame equal to the last one is a duplicate of the channel."""
 _PIECE = bytes([PIECE])
 
 
@@ -56,14 +60,15 @@ class RadioMcu:
         self.uart = UartPort(
             baud=baud, rx_bytes=rx_bytes, tx_bytes=tx_bytes, chunk_bytes=chunk_bytes, idle_us=idle_us
         )
-        self.packer = FramePacker(poses=poses, frame_bytes=frame_bytes)
+        self._to_host = address == HOST_RADIO
+        self.packer = FramePacker(poses=poses, frame_bytes=frame_bytes, in_order=not self._to_host)
         self.frames_sent = 0
         self.frames_received = 0
         self.air_overruns = 0
         self._splitter = StreamSplitter()
         self._assembler = Assembler()
         self._codec = Codec(*address)
-        self._to_host = address == HOST_RADIO
+        self._last_frame, self._last_frame_us = b"", 0
         self._air: deque[bytes] = deque()
         self._air_bytes = 0
         self._stats_us = STATS_US
@@ -100,7 +105,13 @@ class RadioMcu:
         return frame
 
     def air_receive(self, frame: bytes, now_us: int) -> None:
-        """Queue the frame's messages for the next tick; drop them if the buffer is full."""
+        """Queue the frame's messages for the next tick; drop them if the buffer is full.
+
+        A duplicate of the last frame is ignored: ground stations would count it as a gap of 255 messages.
+        """
+        if frame == self._last_frame and now_us - self._last_frame_us < REPEAT_US:
+            return
+        self._last_frame, self._last_frame_us = frame, now_us
         self.frames_received += 1
         if frame.startswith(_PIECE):
             message = self._assembler.receive(frame, now_us)

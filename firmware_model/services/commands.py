@@ -26,12 +26,14 @@ _LOCAL_FRAMES = (
 )
 
 _CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
+_ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 _MODES: dict[tuple[float, float | None], Event] = {
     (4.0, 3.0): Event.HOLD,
     (4.0, 6.0): Event.LAND,
     (6.0, None): Event.OFFBOARD,
+    (9.0, 0.0): Event.LAND,
 }
-"""Events by PX4 main mode and sub mode. None stands for any sub mode."""
+"""Events by PX4 main mode and sub mode; None stands for any sub mode. 9 is ArduCopter's LAND."""
 
 
 class Commands:
@@ -154,7 +156,13 @@ class Commands:
     def _set_mode(self, message: m.CommandLong, now_us: int) -> int:
         named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
         event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
-        return self._event(event, message, now_us) if named and event is not None else _UNSUPPORTED
+        if not named or event is None:
+            return _UNSUPPORTED
+        if event is Event.OFFBOARD and not int(message.param1) & _ARMED:
+            # mavutil sends ArduCopter's RTL in this way to vehicles that are not PX4's.
+            self._text(_WARNING, "offboard refused: mode 6 needs flag 128, else it is RTL")
+            return mavlink.MAV_RESULT_DENIED
+        return self._event(event, message, now_us)
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
         if not message.param1 > 0.5:

@@ -13,7 +13,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from trimtab.firmware_model.storage.store import ReferenceStore
-from trimtab.protocol.blobs import Kind
+from trimtab.protocol.blob_fields import HEADER_BYTES
+from trimtab.protocol.blobs import BlobError, Kind, least_bytes
 from trimtab.protocol.messages import UploadResult, mavlink
 from trimtab.protocol.upload import ReceiverEvent, UploadReceiver
 
@@ -59,6 +60,8 @@ class BlobFiles:
         Sends severity and text to the host.
     on_upload
         Receives the events of writing and removing a file, and the time.
+    least_bytes
+        Returns the least length of a blob by its first bytes; raises BlobError if they begin no blob.
     """
 
     def __init__(
@@ -68,12 +71,14 @@ class BlobFiles:
         upload: UploadReceiver,
         text: Callable[[int, str], None],
         on_upload: Callable[[list[ReceiverEvent], int], None],
+        least_bytes: Callable[[bytes], int] = least_bytes,
     ) -> None:
         self.bytes_max = store.blob_bytes_max
         self._store = store
         self._upload = upload
         self._text = text
         self._on_upload = on_upload
+        self._least_bytes = least_bytes
 
     @staticmethod
     def find(path: str) -> File | None:
@@ -101,13 +106,31 @@ class BlobFiles:
         kind, _ = self._upload.staged()
         return self._store.staged(file.kind) if kind == file.kind else None
 
+    def check_start(self, path: str, head: bytes) -> UploadResult:
+        """Return TOO_LARGE or BAD_REQUEST if a file that begins with `head` can only be refused, else OK.
+
+        A text gives the reason. The complete file is still checked by `write`.
+        """
+        if len(head) < HEADER_BYTES:
+            return UploadResult.OK
+        try:
+            size = self._least_bytes(head)
+        except BlobError as error:
+            self._text(_WARNING, f"{_name(path)} refused:")
+            self._text(_WARNING, str(error))
+            return UploadResult.BAD_REQUEST
+        if size <= self.bytes_max:
+            return UploadResult.OK
+        self._text(_WARNING, f"{_name(path)} refused: {size} bytes, at most {self.bytes_max}")
+        return UploadResult.TOO_LARGE
+
     def write(self, path: str, data: bytes, now_us: int) -> bool:
         """Stage `data`; return False if it was refused. A text reports the result."""
         file = self.find(path)
         assert file is not None, "only valid paths are opened"
         result, verdict, events = self._upload.put(file.kind, data, now_us)
         self._on_upload(events, now_us)
-        name = path.rpartition("/")[2]
+        name = _name(path)
         if result is UploadResult.OK:
             self._text(_INFO, f"{name} accepted: {len(data)} bytes")
             return True
@@ -121,11 +144,15 @@ class BlobFiles:
 
     def report_incomplete(self, path: str, count: int, size: int) -> None:
         """Report a file that was closed after `count` of `size` bytes."""
-        name = path.rpartition("/")[2]
-        self._text(_WARNING, f"{name} refused: {size - count} of {size} bytes missing")
+        self._text(_WARNING, f"{_name(path)} refused: {size - count} of {size} bytes missing")
 
     def remove(self, file: File, now_us: int) -> bool:
         """Remove a staged file; return False if there was none."""
         result, events = self._upload.remove(file.kind, now_us)
         self._on_upload(events, now_us)
         return result is UploadResult.OK
+
+
+def _name(path: str) -> str:
+    """Return the last part of a path."""
+    return path.rpartition("/")[2]

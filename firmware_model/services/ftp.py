@@ -4,7 +4,8 @@ Each station has its own sessions, identified by session numbers that the statio
 of an answer is that of its request plus one; it increases by one with each packet of a burst. Requests that
 open, close or remove a file are executed once: the server answers a repeated request with the stored answer.
 Requests that change nothing are executed again. The server buffers written data and passes the complete file
-on when the session is terminated.
+on when the session is terminated. If the header of a file shows that it is too large, or no blob at all,
+every write from the first on is refused.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from dataclasses import dataclass
 from trimtab.firmware_model.services.files import BlobFiles
 from trimtab.protocol import messages as m
 from trimtab.protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
+from trimtab.protocol.messages import UploadResult
 
 SESSIONS_MAX = 8
 IDLE_US = 30_000_000
@@ -23,6 +25,9 @@ REPLAY_US = 5_000_000
 """Time for which the answer to a repeated request is stored."""
 BYTES_PER_UPDATE = 120
 """Bytes of all bursts together in each update: 12 kB/s."""
+
+_START_ERRORS = {UploadResult.TOO_LARGE: Error.INVALID_DATA_SIZE, UploadResult.BAD_REQUEST: Error.FAIL}
+"""Answers to writes of a file whose first bytes show that it can only be refused."""
 
 _Key = tuple[int, int, int]
 """System and component of the station, number of the session."""
@@ -34,6 +39,7 @@ class _Session:
 
     data: the bytes to read, or those written so far. written: None for reading; else one byte for each byte
     of `data`, 1 if it was written. burst: the request that the next packet of a burst would answer.
+    refused: the answer to every further write, after one that showed that the file can only be refused.
     """
 
     path: str
@@ -41,6 +47,7 @@ class _Session:
     request_us: int
     written: bytearray | None = None
     burst: Packet | None = None
+    refused: Error | None = None
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -183,6 +190,8 @@ class FtpServer:
             return _ack(request)
         if not self._may_write(key[:2]):
             return _nak(request, Error.FILE_PROTECTED)
+        if session.refused is not None:
+            return _nak(request, session.refused)
         count, size = sum(session.written), len(session.written)
         if count < size:
             self._files.report_incomplete(session.path, count, size)
@@ -233,6 +242,10 @@ class FtpServer:
         end = request.offset + len(request.data)
         if end > self._files.bytes_max or request.size > DATA_BYTES:
             return _nak(request, Error.INVALID_DATA_SIZE)
+        if session.refused is None and request.offset == 0:
+            session.refused = _START_ERRORS.get(self._files.check_start(session.path, request.data))
+        if session.refused is not None:
+            return _nak(request, session.refused)
         for memory in (session.data, session.written):
             memory.extend(bytes(max(0, end - len(memory))))
         session.data[request.offset : end] = request.data

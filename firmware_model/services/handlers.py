@@ -1,7 +1,7 @@
 """Message handlers, one for each message type.
 
-This module handles TIMESYNC, PING, version requests, missions (there are none) and uploads. Other modules
-handle parameters, commands, setpoints, telemetry for other stations, and files.
+This module handles TIMESYNC, PING, version requests, the origin's place and uploads. Other modules handle
+parameters, commands, setpoints, telemetry for other stations, files, and what the vehicle does not have.
 """
 
 from __future__ import annotations
@@ -13,9 +13,11 @@ from typing import Any
 
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.services.absent import AbsentServices
 from trimtab.firmware_model.services.commands import Commands
 from trimtab.firmware_model.services.files import BlobFiles
 from trimtab.firmware_model.services.ftp import FtpServer
+from trimtab.firmware_model.services.global_position import gps_global_origin
 from trimtab.firmware_model.services.intake import Intake
 from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.firmware_model.services.parameter_service import ParameterService
@@ -33,6 +35,7 @@ SOFTWARE_VERSION = 0x00_02_00_FF
 
 _CAPABILITIES = (
     mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT
+    | mavlink.MAV_PROTOCOL_CAPABILITY_MISSION_INT  # a client without it reports a misleading reason
     | mavlink.MAV_PROTOCOL_CAPABILITY_MAVLINK2
     | mavlink.MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE
     | mavlink.MAV_PROTOCOL_CAPABILITY_SET_ATTITUDE_TARGET
@@ -126,8 +129,8 @@ class Handlers:
             m.CommandInt: commands.int,
             m.Heartbeat: self.streams.heartbeat,
             m.RequestDataStream: self.streams.data_stream,
-            m.MissionRequestList: self._mission_list,
-            m.MissionClearAll: self._mission_clear,
+            m.SetGpsGlobalOrigin: self._set_origin,
+            **AbsentServices(send).handlers(),
             m.FileTransfer: self._ftp.receive,
             m.ParamRequestList: self._parameter_service.list,
             m.ParamRequestRead: self._parameter_service.read,
@@ -213,11 +216,10 @@ class Handlers:
         if message.target_system == 0:
             self._send(m.Ping(message.time_usec, message.seq, *m.sender_of(message)))
 
-    def _mission_list(self, message: m.MissionRequestList, now_us: int) -> None:
-        self._send(m.MissionCount(*m.sender_of(message), 0, message.mission_type))
-
-    def _mission_clear(self, message: m.MissionClearAll, now_us: int) -> None:
-        self._send(m.MissionAck(*m.sender_of(message), mavlink.MAV_MISSION_ACCEPTED, message.mission_type))
+    def _set_origin(self, message: m.SetGpsGlobalOrigin, now_us: int) -> None:
+        place = (message.latitude, message.longitude, message.altitude)
+        self._parameter_service.set_origin(place, m.sender_of(message), now_us)
+        self._send(gps_global_origin(self._flight, now_us, 0.0))
 
     def _version(self) -> Message:
         identity = self._identity

@@ -14,6 +14,7 @@ from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_t_vec, matrix_to_euler, quat_to_matrix
+from trimtab.firmware_model.services.global_position import place_of
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import mavlink
 
@@ -28,7 +29,8 @@ _MOCAP = mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION
 _BATTERY = mavlink.MAV_SYS_STATUS_SENSOR_BATTERY
 _PREARM = mavlink.MAV_SYS_STATUS_PREARM_CHECK
 _FENCE = mavlink.MAV_SYS_STATUS_GEOFENCE
-_PRESENT = _ALWAYS | _GYRO | _MOCAP | _BATTERY | _FENCE | _PREARM
+_GLOBAL = mavlink.MAV_SYS_STATUS_SENSOR_GPS  # MAVSDK's is_global_position_ok
+_PRESENT = _ALWAYS | _GYRO | _MOCAP | _GLOBAL | _BATTERY | _FENCE | _PREARM
 
 _LANDED = {
     State.BOOT: mavlink.MAV_LANDED_STATE_ON_GROUND,
@@ -49,7 +51,8 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
     """Return SYS_STATUS.
 
     The gyro is healthy once calibrated, vision while poses arrive, and the pre-arm check if it passes. The
-    geofence is healthy until the vehicle leaves it: MAVProxy reports any other value as a breach.
+    bit of the GPS says that the position on the globe is valid, also while poses arrive. The geofence is
+    healthy until the vehicle leaves it: MAVProxy reports any other value as a breach.
     """
     health = _ALWAYS | _BATTERY
     if flight.failsafe is not Failsafe.GEOFENCE:
@@ -57,7 +60,7 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
     if flight.calibration.bias is not None:
         health |= _GYRO
     if flight.has_pose(now_us):
-        health |= _MOCAP
+        health |= _MOCAP | _GLOBAL
     if not flight.arming_reasons(now_us):
         health |= _PREARM
     millivolts, percent = _millivolts(battery_v), _percent(flight, battery_v)
@@ -96,10 +99,11 @@ def extended_sys_state(flight: Flight, now_us: int, battery_v: float) -> m.Exten
 
 
 def home_position(flight: Flight, now_us: int, battery_v: float) -> m.HomePosition:
-    """Return HOME_POSITION: start of the last take-off, or the estimate before the first; local NED."""
+    """Return HOME_POSITION: start of the last take-off, or the estimate before the first."""
     memory = flight.outputs["memory"].tolist()
     x, y, z = flight.home_ned or memory[law.EST_P]
-    return m.HomePosition(0, 0, 0, x, y, z, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, now_us)
+    place = place_of(flight.parameters, (x, y, z))
+    return m.HomePosition(*place, x, y, z, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0, now_us)
 
 
 def attitude(flight: Flight, now_us: int, battery_v: float) -> m.Attitude:

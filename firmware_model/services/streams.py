@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.flight import Flight
-from trimtab.firmware_model.services import stock
+from trimtab.firmware_model.services import global_position, stock
 from trimtab.firmware_model.services.telemetry import HEARTBEAT_US, STATUS_US
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
@@ -44,6 +44,10 @@ STREAMS: Mapping[int, Stream] = {
     m.Attitude.id: Stream(default_us=250_000, min_us=50_000, make=stock.attitude),
     m.AttitudeQuaternion.id: Stream(default_us=250_000, min_us=50_000, make=stock.attitude_quaternion),
     m.LocalPositionNed.id: Stream(default_us=250_000, min_us=50_000, make=stock.local_position),
+    m.GlobalPosition.id: Stream(default_us=250_000, min_us=250_000, make=global_position.global_position),
+    m.VfrHud.id: Stream(default_us=1_000_000, min_us=500_000, make=global_position.vfr_hud),
+    m.Altitude.id: Stream(default_us=1_000_000, min_us=500_000, make=global_position.altitude),
+    m.GpsGlobalOrigin.id: Stream(default_us=_OFF, min_us=1_000_000, make=global_position.gps_global_origin),
     m.Odometry.id: Stream(default_us=_OFF, min_us=200_000, make=stock.odometry),
 }
 """Streams by message id."""
@@ -67,8 +71,9 @@ GROUPS: Mapping[int, tuple[int, ...]] = {
         m.BatteryStatus.id,
         m.ExtendedSysState.id,
     ),
-    mavlink.MAV_DATA_STREAM_POSITION: (m.LocalPositionNed.id,),
+    mavlink.MAV_DATA_STREAM_POSITION: (m.LocalPositionNed.id, m.GlobalPosition.id),
     mavlink.MAV_DATA_STREAM_EXTRA1: (m.Attitude.id, m.AttitudeQuaternion.id),
+    mavlink.MAV_DATA_STREAM_EXTRA2: (m.VfrHud.id, m.Altitude.id),
 }
 """Messages that REQUEST_DATA_STREAM starts, by group. MAV_DATA_STREAM_ALL starts all groups."""
 

@@ -425,6 +425,10 @@ MAV_COMP_ID_ALL = 0
 enums["MAV_COMPONENT"][0] = EnumEntry("MAV_COMP_ID_ALL", """""")
 MAV_COMP_ID_AUTOPILOT1 = 1
 enums["MAV_COMPONENT"][1] = EnumEntry("MAV_COMP_ID_AUTOPILOT1", """""")
+MAV_COMP_ID_USER1 = 25
+enums["MAV_COMPONENT"][25] = EnumEntry("MAV_COMP_ID_USER1", """""")
+MAV_COMP_ID_USER2 = 26
+enums["MAV_COMPONENT"][26] = EnumEntry("MAV_COMP_ID_USER2", """""")
 MAV_COMP_ID_TELEMETRY_RADIO = 68
 enums["MAV_COMPONENT"][68] = EnumEntry("MAV_COMP_ID_TELEMETRY_RADIO", """""")
 MAV_COMP_ID_MISSIONPLANNER = 190
@@ -455,8 +459,8 @@ enums["MAV_CMD"][22].param[6] = """Reserved (default:0)"""
 enums["MAV_CMD"][22].param[7] = """Height in m above the floor; NaN or 0: TAKEOFF_HEIGHT."""
 MAV_CMD_DO_SET_MODE = 176
 enums["MAV_CMD"][176] = EnumEntry("MAV_CMD_DO_SET_MODE", """Changes what is done in the air.""")
-enums["MAV_CMD"][176].param[1] = """MAV_MODE_FLAG; 1 reads the next ones."""
-enums["MAV_CMD"][176].param[2] = """Main mode as PX4 counts them: 6 follows setpoints, 4 holds or lands."""
+enums["MAV_CMD"][176].param[1] = """MAV_MODE_FLAG; 1 reads the next ones, 128 too is needed for main mode 6."""
+enums["MAV_CMD"][176].param[2] = """Main mode as PX4 counts them: 6 follows setpoints, 4 holds or lands. 9 lands, as ArduCopter counts."""
 enums["MAV_CMD"][176].param[3] = """Sub mode of 4: 3 holds, 6 lands."""
 enums["MAV_CMD"][176].param[4] = """Reserved (default:0)"""
 enums["MAV_CMD"][176].param[5] = """Reserved (default:0)"""
@@ -592,11 +596,41 @@ enums["MAV_PARAM_TYPE"][9] = EnumEntry("MAV_PARAM_TYPE_REAL32", """""")
 MAV_PARAM_TYPE_ENUM_END = 10
 enums["MAV_PARAM_TYPE"][10] = EnumEntry("MAV_PARAM_TYPE_ENUM_END", """""")
 
+# MAV_PARAM_ERROR
+enums["MAV_PARAM_ERROR"] = Enum()
+enums["MAV_PARAM_ERROR"].bitmask = False
+MAV_PARAM_ERROR_DOES_NOT_EXIST = 1
+enums["MAV_PARAM_ERROR"][1] = EnumEntry("MAV_PARAM_ERROR_DOES_NOT_EXIST", """""")
+MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE = 2
+enums["MAV_PARAM_ERROR"][2] = EnumEntry("MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE", """""")
+MAV_PARAM_ERROR_PERMISSION_DENIED = 3
+enums["MAV_PARAM_ERROR"][3] = EnumEntry("MAV_PARAM_ERROR_PERMISSION_DENIED", """""")
+MAV_PARAM_ERROR_ENUM_END = 4
+enums["MAV_PARAM_ERROR"][4] = EnumEntry("MAV_PARAM_ERROR_ENUM_END", """""")
+
+# SERIAL_CONTROL_DEV
+enums["SERIAL_CONTROL_DEV"] = Enum()
+enums["SERIAL_CONTROL_DEV"].bitmask = False
+SERIAL_CONTROL_DEV_SHELL = 10
+enums["SERIAL_CONTROL_DEV"][10] = EnumEntry("SERIAL_CONTROL_DEV_SHELL", """""")
+SERIAL_CONTROL_DEV_ENUM_END = 11
+enums["SERIAL_CONTROL_DEV"][11] = EnumEntry("SERIAL_CONTROL_DEV_ENUM_END", """""")
+
+# SERIAL_CONTROL_FLAG
+enums["SERIAL_CONTROL_FLAG"] = Enum()
+enums["SERIAL_CONTROL_FLAG"].bitmask = True
+SERIAL_CONTROL_FLAG_REPLY = 1
+enums["SERIAL_CONTROL_FLAG"][1] = EnumEntry("SERIAL_CONTROL_FLAG_REPLY", """""")
+SERIAL_CONTROL_FLAG_ENUM_END = 2
+enums["SERIAL_CONTROL_FLAG"][2] = EnumEntry("SERIAL_CONTROL_FLAG_ENUM_END", """""")
+
 # MAV_PROTOCOL_CAPABILITY
 enums["MAV_PROTOCOL_CAPABILITY"] = Enum()
 enums["MAV_PROTOCOL_CAPABILITY"].bitmask = True
 MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT = 2
 enums["MAV_PROTOCOL_CAPABILITY"][2] = EnumEntry("MAV_PROTOCOL_CAPABILITY_PARAM_FLOAT", """""")
+MAV_PROTOCOL_CAPABILITY_MISSION_INT = 4
+enums["MAV_PROTOCOL_CAPABILITY"][4] = EnumEntry("MAV_PROTOCOL_CAPABILITY_MISSION_INT", """""")
 MAV_PROTOCOL_CAPABILITY_COMMAND_INT = 8
 enums["MAV_PROTOCOL_CAPABILITY"][8] = EnumEntry("MAV_PROTOCOL_CAPABILITY_COMMAND_INT", """""")
 MAV_PROTOCOL_CAPABILITY_PARAM_ENCODE_BYTEWISE = 16
@@ -725,6 +759,8 @@ MAV_SYS_STATUS_SENSOR_3D_GYRO = 1
 enums["MAV_SYS_STATUS_SENSOR"][1] = EnumEntry("MAV_SYS_STATUS_SENSOR_3D_GYRO", """""")
 MAV_SYS_STATUS_SENSOR_3D_ACCEL = 2
 enums["MAV_SYS_STATUS_SENSOR"][2] = EnumEntry("MAV_SYS_STATUS_SENSOR_3D_ACCEL", """""")
+MAV_SYS_STATUS_SENSOR_GPS = 32
+enums["MAV_SYS_STATUS_SENSOR"][32] = EnumEntry("MAV_SYS_STATUS_SENSOR_GPS", """""")
 MAV_SYS_STATUS_SENSOR_VISION_POSITION = 128
 enums["MAV_SYS_STATUS_SENSOR"][128] = EnumEntry("MAV_SYS_STATUS_SENSOR_VISION_POSITION", """""")
 MAV_SYS_STATUS_SENSOR_ANGULAR_RATE_CONTROL = 1024
@@ -779,8 +815,10 @@ MAV_DATA_STREAM_POSITION = 6
 enums["MAV_DATA_STREAM"][6] = EnumEntry("MAV_DATA_STREAM_POSITION", """""")
 MAV_DATA_STREAM_EXTRA1 = 10
 enums["MAV_DATA_STREAM"][10] = EnumEntry("MAV_DATA_STREAM_EXTRA1", """""")
-MAV_DATA_STREAM_ENUM_END = 11
-enums["MAV_DATA_STREAM"][11] = EnumEntry("MAV_DATA_STREAM_ENUM_END", """""")
+MAV_DATA_STREAM_EXTRA2 = 11
+enums["MAV_DATA_STREAM"][11] = EnumEntry("MAV_DATA_STREAM_EXTRA2", """""")
+MAV_DATA_STREAM_ENUM_END = 12
+enums["MAV_DATA_STREAM"][12] = EnumEntry("MAV_DATA_STREAM_ENUM_END", """""")
 
 # MAV_MISSION_RESULT
 enums["MAV_MISSION_RESULT"] = Enum()
@@ -955,11 +993,15 @@ MAVLINK_MSG_ID_PARAM_SET = 23
 MAVLINK_MSG_ID_ATTITUDE = 30
 MAVLINK_MSG_ID_ATTITUDE_QUATERNION = 31
 MAVLINK_MSG_ID_LOCAL_POSITION_NED = 32
+MAVLINK_MSG_ID_GLOBAL_POSITION_INT = 33
 MAVLINK_MSG_ID_MISSION_REQUEST_LIST = 43
 MAVLINK_MSG_ID_MISSION_COUNT = 44
 MAVLINK_MSG_ID_MISSION_CLEAR_ALL = 45
 MAVLINK_MSG_ID_MISSION_ACK = 47
+MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN = 48
+MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN = 49
 MAVLINK_MSG_ID_REQUEST_DATA_STREAM = 66
+MAVLINK_MSG_ID_VFR_HUD = 74
 MAVLINK_MSG_ID_COMMAND_INT = 75
 MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
@@ -967,7 +1009,11 @@ MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
 MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED = 84
 MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL = 110
 MAVLINK_MSG_ID_TIMESYNC = 111
+MAVLINK_MSG_ID_LOG_REQUEST_LIST = 117
+MAVLINK_MSG_ID_LOG_ENTRY = 118
+MAVLINK_MSG_ID_SERIAL_CONTROL = 126
 MAVLINK_MSG_ID_ATT_POS_MOCAP = 138
+MAVLINK_MSG_ID_ALTITUDE = 141
 MAVLINK_MSG_ID_BATTERY_STATUS = 147
 MAVLINK_MSG_ID_AUTOPILOT_VERSION = 148
 MAVLINK_MSG_ID_HOME_POSITION = 242
@@ -975,6 +1021,7 @@ MAVLINK_MSG_ID_MESSAGE_INTERVAL = 244
 MAVLINK_MSG_ID_EXTENDED_SYS_STATE = 245
 MAVLINK_MSG_ID_STATUSTEXT = 253
 MAVLINK_MSG_ID_ODOMETRY = 331
+MAVLINK_MSG_ID_PARAM_ERROR = 345
 MAVLINK_MSG_ID_FC_CONTROL = 52100
 MAVLINK_MSG_ID_FC_ESTIMATE = 52101
 MAVLINK_MSG_ID_FC_STATUS = 52102
@@ -990,9 +1037,10 @@ MAVLINK_MSG_ID_UPLOAD_ABORT = 52115
 
 class MAVLink_heartbeat_message(MAVLink_message):
     """
-    The sender is present. A Trimtab vehicle's custom_mode holds 0x54
-    in its top byte, the version of this dialect in the next one and
-    its TRIMTAB_STATE in the lowest.
+    The sender is present. A Trimtab vehicle's custom_mode holds PX4's
+    sub mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+    0x15 in bits 10-15, the version of this dialect in bits 4-9 and
+    its TRIMTAB_STATE in bits 0-3.
     """
 
     id = MAVLINK_MSG_ID_HEARTBEAT
@@ -1428,6 +1476,53 @@ class MAVLink_local_position_ned_message(MAVLink_message):
 setattr(MAVLink_local_position_ned_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_global_position_int_message(MAVLink_message):
+    """
+    Position on the globe, computed from the local position and the
+    origin of the local frame.
+    """
+
+    id = MAVLINK_MSG_ID_GLOBAL_POSITION_INT
+    msgname = "GLOBAL_POSITION_INT"
+    fieldnames = ["time_boot_ms", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg"]
+    ordered_fieldnames = ["time_boot_ms", "lat", "lon", "alt", "relative_alt", "vx", "vy", "vz", "hdg"]
+    fieldtypes = ["uint32_t", "int32_t", "int32_t", "int32_t", "int32_t", "int16_t", "int16_t", "int16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_boot_ms": "ms", "lat": "degE7", "lon": "degE7", "alt": "mm", "relative_alt": "mm", "vx": "cm/s", "vy": "cm/s", "vz": "cm/s", "hdg": "cdeg"}
+    native_format = bytearray(b"<IiiiihhhH")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 104
+    unpacker = struct.Struct("<IiiiihhhH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int):
+        MAVLink_message.__init__(self, MAVLink_global_position_int_message.id, MAVLink_global_position_int_message.msgname)
+        self._fieldnames = MAVLink_global_position_int_message.fieldnames
+        self._instance_field = MAVLink_global_position_int_message.instance_field
+        self._instance_offset = MAVLink_global_position_int_message.instance_offset
+        self.time_boot_ms = time_boot_ms
+        self.lat = lat
+        self.lon = lon
+        self.alt = alt
+        self.relative_alt = relative_alt
+        self.vx = vx
+        self.vy = vy
+        self.vz = vz
+        self.hdg = hdg
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_boot_ms, self.lat, self.lon, self.alt, self.relative_alt, self.vx, self.vy, self.vz, self.hdg), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_global_position_int_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_mission_request_list_message(MAVLink_message):
     """
     Asks for the list of mission items; there are none here.
@@ -1590,6 +1685,90 @@ class MAVLink_mission_ack_message(MAVLink_message):
 setattr(MAVLink_mission_ack_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_set_gps_global_origin_message(MAVLink_message):
+    """
+    Sets the place of the local frame's origin on the globe; answered
+    by GPS_GLOBAL_ORIGIN.
+    """
+
+    id = MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN
+    msgname = "SET_GPS_GLOBAL_ORIGIN"
+    fieldnames = ["target_system", "latitude", "longitude", "altitude", "time_usec"]
+    ordered_fieldnames = ["latitude", "longitude", "altitude", "target_system", "time_usec"]
+    fieldtypes = ["uint8_t", "int32_t", "int32_t", "int32_t", "uint64_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "time_usec": "us"}
+    native_format = bytearray(b"<iiiBQ")
+    orders = [3, 0, 1, 2, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 41
+    unpacker = struct.Struct("<iiiBQ")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, latitude: int, longitude: int, altitude: int, time_usec: int = 0):
+        MAVLink_message.__init__(self, MAVLink_set_gps_global_origin_message.id, MAVLink_set_gps_global_origin_message.msgname)
+        self._fieldnames = MAVLink_set_gps_global_origin_message.fieldnames
+        self._instance_field = MAVLink_set_gps_global_origin_message.instance_field
+        self._instance_offset = MAVLink_set_gps_global_origin_message.instance_offset
+        self.target_system = target_system
+        self.latitude = latitude
+        self.longitude = longitude
+        self.altitude = altitude
+        self.time_usec = time_usec
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.latitude, self.longitude, self.altitude, self.target_system, self.time_usec), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_set_gps_global_origin_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_gps_global_origin_message(MAVLink_message):
+    """
+    The place of the local frame's origin on the globe.
+    """
+
+    id = MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN
+    msgname = "GPS_GLOBAL_ORIGIN"
+    fieldnames = ["latitude", "longitude", "altitude", "time_usec"]
+    ordered_fieldnames = ["latitude", "longitude", "altitude", "time_usec"]
+    fieldtypes = ["int32_t", "int32_t", "int32_t", "uint64_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"latitude": "degE7", "longitude": "degE7", "altitude": "mm", "time_usec": "us"}
+    native_format = bytearray(b"<iiiQ")
+    orders = [0, 1, 2, 3]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 39
+    unpacker = struct.Struct("<iiiQ")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, latitude: int, longitude: int, altitude: int, time_usec: int = 0):
+        MAVLink_message.__init__(self, MAVLink_gps_global_origin_message.id, MAVLink_gps_global_origin_message.msgname)
+        self._fieldnames = MAVLink_gps_global_origin_message.fieldnames
+        self._instance_field = MAVLink_gps_global_origin_message.instance_field
+        self._instance_offset = MAVLink_gps_global_origin_message.instance_offset
+        self.latitude = latitude
+        self.longitude = longitude
+        self.altitude = altitude
+        self.time_usec = time_usec
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.latitude, self.longitude, self.altitude, self.time_usec), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_gps_global_origin_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_request_data_stream_message(MAVLink_message):
     """
     Asks for groups of messages at a rate, as older ground stations
@@ -1631,6 +1810,49 @@ class MAVLink_request_data_stream_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_request_data_stream_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_vfr_hud_message(MAVLink_message):
+    """
+    Speeds, heading and altitude for a display.
+    """
+
+    id = MAVLINK_MSG_ID_VFR_HUD
+    msgname = "VFR_HUD"
+    fieldnames = ["airspeed", "groundspeed", "heading", "throttle", "alt", "climb"]
+    ordered_fieldnames = ["airspeed", "groundspeed", "alt", "climb", "heading", "throttle"]
+    fieldtypes = ["float", "float", "int16_t", "uint16_t", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"airspeed": "m/s", "groundspeed": "m/s", "heading": "deg", "throttle": "%", "alt": "m", "climb": "m/s"}
+    native_format = bytearray(b"<ffffhH")
+    orders = [0, 1, 4, 5, 2, 3]
+    lengths = [1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0]
+    crc_extra = 20
+    unpacker = struct.Struct("<ffffhH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float):
+        MAVLink_message.__init__(self, MAVLink_vfr_hud_message.id, MAVLink_vfr_hud_message.msgname)
+        self._fieldnames = MAVLink_vfr_hud_message.fieldnames
+        self._instance_field = MAVLink_vfr_hud_message.instance_field
+        self._instance_offset = MAVLink_vfr_hud_message.instance_offset
+        self.airspeed = airspeed
+        self.groundspeed = groundspeed
+        self.heading = heading
+        self.throttle = throttle
+        self.alt = alt
+        self.climb = climb
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.airspeed, self.groundspeed, self.alt, self.climb, self.heading, self.throttle), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_vfr_hud_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_command_int_message(MAVLink_message):
@@ -1953,6 +2175,135 @@ class MAVLink_timesync_message(MAVLink_message):
 setattr(MAVLink_timesync_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_log_request_list_message(MAVLink_message):
+    """
+    Asks for the logs on board.
+    """
+
+    id = MAVLINK_MSG_ID_LOG_REQUEST_LIST
+    msgname = "LOG_REQUEST_LIST"
+    fieldnames = ["target_system", "target_component", "start", "end"]
+    ordered_fieldnames = ["start", "end", "target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<HHBB")
+    orders = [2, 3, 0, 1]
+    lengths = [1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0]
+    crc_extra = 128
+    unpacker = struct.Struct("<HHBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, start: int, end: int):
+        MAVLink_message.__init__(self, MAVLink_log_request_list_message.id, MAVLink_log_request_list_message.msgname)
+        self._fieldnames = MAVLink_log_request_list_message.fieldnames
+        self._instance_field = MAVLink_log_request_list_message.instance_field
+        self._instance_offset = MAVLink_log_request_list_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self.start = start
+        self.end = end
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.start, self.end, self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_request_list_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_log_entry_message(MAVLink_message):
+    """
+    Answers LOG_REQUEST_LIST; all fields are 0 where there are no
+    logs.
+    """
+
+    id = MAVLINK_MSG_ID_LOG_ENTRY
+    msgname = "LOG_ENTRY"
+    fieldnames = ["id", "num_logs", "last_log_num", "time_utc", "size"]
+    ordered_fieldnames = ["time_utc", "size", "id", "num_logs", "last_log_num"]
+    fieldtypes = ["uint16_t", "uint16_t", "uint16_t", "uint32_t", "uint32_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_utc": "s", "size": "bytes"}
+    native_format = bytearray(b"<IIHHH")
+    orders = [2, 3, 4, 0, 1]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0]
+    crc_extra = 56
+    unpacker = struct.Struct("<IIHHH")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int):
+        MAVLink_message.__init__(self, MAVLink_log_entry_message.id, MAVLink_log_entry_message.msgname)
+        self._fieldnames = MAVLink_log_entry_message.fieldnames
+        self._instance_field = MAVLink_log_entry_message.instance_field
+        self._instance_offset = MAVLink_log_entry_message.instance_offset
+        self.id = id
+        self.num_logs = num_logs
+        self.last_log_num = last_log_num
+        self.time_utc = time_utc
+        self.size = size
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_utc, self.size, self.id, self.num_logs, self.last_log_num), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_log_entry_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_serial_control_message(MAVLink_message):
+    """
+    Bytes for a serial device or a shell, and its answer.
+    """
+
+    id = MAVLINK_MSG_ID_SERIAL_CONTROL
+    msgname = "SERIAL_CONTROL"
+    fieldnames = ["device", "flags", "timeout", "baudrate", "count", "data", "target_system", "target_component"]
+    ordered_fieldnames = ["baudrate", "timeout", "device", "flags", "count", "data", "target_system", "target_component"]
+    fieldtypes = ["uint8_t", "uint8_t", "uint16_t", "uint32_t", "uint8_t", "uint8_t", "uint8_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {"flags": "bitmask"}
+    fieldenums_by_name: Dict[str, str] = {"device": "SERIAL_CONTROL_DEV", "flags": "SERIAL_CONTROL_FLAG"}
+    fieldunits_by_name: Dict[str, str] = {"timeout": "ms", "baudrate": "bits/s", "count": "bytes"}
+    native_format = bytearray(b"<IHBBBBBB")
+    orders = [2, 3, 1, 0, 4, 5, 6, 7]
+    lengths = [1, 1, 1, 1, 1, 70, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 70, 0, 0]
+    crc_extra = 220
+    unpacker = struct.Struct("<IHBBB70BBB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, device: int, flags: int, timeout: int, baudrate: int, count: int, data: Sequence[int], target_system: int = 0, target_component: int = 0):
+        MAVLink_message.__init__(self, MAVLink_serial_control_message.id, MAVLink_serial_control_message.msgname)
+        self._fieldnames = MAVLink_serial_control_message.fieldnames
+        self._instance_field = MAVLink_serial_control_message.instance_field
+        self._instance_offset = MAVLink_serial_control_message.instance_offset
+        self.device = device
+        self.flags = flags
+        self.timeout = timeout
+        self.baudrate = baudrate
+        self.count = count
+        self.data = data
+        self.target_system = target_system
+        self.target_component = target_component
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.baudrate, self.timeout, self.device, self.flags, self.count, self.data[0], self.data[1], self.data[2], self.data[3], self.data[4], self.data[5], self.data[6], self.data[7], self.data[8], self.data[9], self.data[10], self.data[11], self.data[12], self.data[13], self.data[14], self.data[15], self.data[16], self.data[17], self.data[18], self.data[19], self.data[20], self.data[21], self.data[22], self.data[23], self.data[24], self.data[25], self.data[26], self.data[27], self.data[28], self.data[29], self.data[30], self.data[31], self.data[32], self.data[33], self.data[34], self.data[35], self.data[36], self.data[37], self.data[38], self.data[39], self.data[40], self.data[41], self.data[42], self.data[43], self.data[44], self.data[45], self.data[46], self.data[47], self.data[48], self.data[49], self.data[50], self.data[51], self.data[52], self.data[53], self.data[54], self.data[55], self.data[56], self.data[57], self.data[58], self.data[59], self.data[60], self.data[61], self.data[62], self.data[63], self.data[64], self.data[65], self.data[66], self.data[67], self.data[68], self.data[69], self.target_system, self.target_component), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_serial_control_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_att_pos_mocap_message(MAVLink_message):
     """
     Motion capture attitude and position: body FRD in world NED.
@@ -1994,6 +2345,50 @@ class MAVLink_att_pos_mocap_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_att_pos_mocap_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_altitude_message(MAVLink_message):
+    """
+    Altitudes above several references.
+    """
+
+    id = MAVLINK_MSG_ID_ALTITUDE
+    msgname = "ALTITUDE"
+    fieldnames = ["time_usec", "altitude_monotonic", "altitude_amsl", "altitude_local", "altitude_relative", "altitude_terrain", "bottom_clearance"]
+    ordered_fieldnames = ["time_usec", "altitude_monotonic", "altitude_amsl", "altitude_local", "altitude_relative", "altitude_terrain", "bottom_clearance"]
+    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"time_usec": "us", "altitude_monotonic": "m", "altitude_amsl": "m", "altitude_local": "m", "altitude_relative": "m", "altitude_terrain": "m", "bottom_clearance": "m"}
+    native_format = bytearray(b"<Qffffff")
+    orders = [0, 1, 2, 3, 4, 5, 6]
+    lengths = [1, 1, 1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0]
+    crc_extra = 47
+    unpacker = struct.Struct("<Qffffff")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, time_usec: int, altitude_monotonic: float, altitude_amsl: float, altitude_local: float, altitude_relative: float, altitude_terrain: float, bottom_clearance: float):
+        MAVLink_message.__init__(self, MAVLink_altitude_message.id, MAVLink_altitude_message.msgname)
+        self._fieldnames = MAVLink_altitude_message.fieldnames
+        self._instance_field = MAVLink_altitude_message.instance_field
+        self._instance_offset = MAVLink_altitude_message.instance_offset
+        self.time_usec = time_usec
+        self.altitude_monotonic = altitude_monotonic
+        self.altitude_amsl = altitude_amsl
+        self.altitude_local = altitude_local
+        self.altitude_relative = altitude_relative
+        self.altitude_terrain = altitude_terrain
+        self.bottom_clearance = bottom_clearance
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.time_usec, self.altitude_monotonic, self.altitude_amsl, self.altitude_local, self.altitude_relative, self.altitude_terrain, self.bottom_clearance), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_altitude_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_battery_status_message(MAVLink_message):
@@ -2320,6 +2715,49 @@ class MAVLink_odometry_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_odometry_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_param_error_message(MAVLink_message):
+    """
+    Says why a parameter was not read or set.
+    """
+
+    id = MAVLINK_MSG_ID_PARAM_ERROR
+    msgname = "PARAM_ERROR"
+    fieldnames = ["target_system", "target_component", "param_id", "param_index", "error"]
+    ordered_fieldnames = ["param_index", "target_system", "target_component", "param_id", "error"]
+    fieldtypes = ["uint8_t", "uint8_t", "char", "int16_t", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {"error": "MAV_PARAM_ERROR"}
+    fieldunits_by_name: Dict[str, str] = {}
+    native_format = bytearray(b"<hBBcB")
+    orders = [1, 2, 3, 0, 4]
+    lengths = [1, 1, 1, 1, 1]
+    array_lengths = [0, 0, 0, 16, 0]
+    crc_extra = 209
+    unpacker = struct.Struct("<hBB16sB")
+    instance_field = None
+    instance_offset = -1
+
+    def __init__(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int):
+        MAVLink_message.__init__(self, MAVLink_param_error_message.id, MAVLink_param_error_message.msgname)
+        self._fieldnames = MAVLink_param_error_message.fieldnames
+        self._instance_field = MAVLink_param_error_message.instance_field
+        self._instance_offset = MAVLink_param_error_message.instance_offset
+        self.target_system = target_system
+        self.target_component = target_component
+        self._param_id_raw = param_id
+        self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
+        self.param_index = param_index
+        self.error = error
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.param_index, self.target_system, self.target_component, self._param_id_raw, self.error), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_param_error_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_fc_control_message(MAVLink_message):
@@ -2832,11 +3270,15 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_ATTITUDE: MAVLink_attitude_message,
     MAVLINK_MSG_ID_ATTITUDE_QUATERNION: MAVLink_attitude_quaternion_message,
     MAVLINK_MSG_ID_LOCAL_POSITION_NED: MAVLink_local_position_ned_message,
+    MAVLINK_MSG_ID_GLOBAL_POSITION_INT: MAVLink_global_position_int_message,
     MAVLINK_MSG_ID_MISSION_REQUEST_LIST: MAVLink_mission_request_list_message,
     MAVLINK_MSG_ID_MISSION_COUNT: MAVLink_mission_count_message,
     MAVLINK_MSG_ID_MISSION_CLEAR_ALL: MAVLink_mission_clear_all_message,
     MAVLINK_MSG_ID_MISSION_ACK: MAVLink_mission_ack_message,
+    MAVLINK_MSG_ID_SET_GPS_GLOBAL_ORIGIN: MAVLink_set_gps_global_origin_message,
+    MAVLINK_MSG_ID_GPS_GLOBAL_ORIGIN: MAVLink_gps_global_origin_message,
     MAVLINK_MSG_ID_REQUEST_DATA_STREAM: MAVLink_request_data_stream_message,
+    MAVLINK_MSG_ID_VFR_HUD: MAVLink_vfr_hud_message,
     MAVLINK_MSG_ID_COMMAND_INT: MAVLink_command_int_message,
     MAVLINK_MSG_ID_COMMAND_LONG: MAVLink_command_long_message,
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
@@ -2844,7 +3286,11 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MAVLink_set_position_target_local_ned_message,
     MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
+    MAVLINK_MSG_ID_LOG_REQUEST_LIST: MAVLink_log_request_list_message,
+    MAVLINK_MSG_ID_LOG_ENTRY: MAVLink_log_entry_message,
+    MAVLINK_MSG_ID_SERIAL_CONTROL: MAVLink_serial_control_message,
     MAVLINK_MSG_ID_ATT_POS_MOCAP: MAVLink_att_pos_mocap_message,
+    MAVLINK_MSG_ID_ALTITUDE: MAVLink_altitude_message,
     MAVLINK_MSG_ID_BATTERY_STATUS: MAVLink_battery_status_message,
     MAVLINK_MSG_ID_AUTOPILOT_VERSION: MAVLink_autopilot_version_message,
     MAVLINK_MSG_ID_HOME_POSITION: MAVLink_home_position_message,
@@ -2852,6 +3298,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_EXTENDED_SYS_STATE: MAVLink_extended_sys_state_message,
     MAVLINK_MSG_ID_STATUSTEXT: MAVLink_statustext_message,
     MAVLINK_MSG_ID_ODOMETRY: MAVLink_odometry_message,
+    MAVLINK_MSG_ID_PARAM_ERROR: MAVLink_param_error_message,
     MAVLINK_MSG_ID_FC_CONTROL: MAVLink_fc_control_message,
     MAVLINK_MSG_ID_FC_ESTIMATE: MAVLink_fc_estimate_message,
     MAVLINK_MSG_ID_FC_STATUS: MAVLink_fc_status_message,
@@ -3261,9 +3708,10 @@ class MAVLink(object):
 
     def heartbeat_encode(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int = 3) -> MAVLink_heartbeat_message:
         """
-        The sender is present. A Trimtab vehicle's custom_mode holds 0x54 in
-        its top byte, the version of this dialect in the next one and
-        its TRIMTAB_STATE in the lowest.
+        The sender is present. A Trimtab vehicle's custom_mode holds PX4's sub
+        mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+        0x15 in bits 10-15, the version of this dialect in bits 4-9
+        and its TRIMTAB_STATE in bits 0-3.
 
         type                      : Vehicle or component type. (type:uint8_t, values:MAV_TYPE)
         autopilot                 : Autopilot type / class. (type:uint8_t, values:MAV_AUTOPILOT)
@@ -3277,9 +3725,10 @@ class MAVLink(object):
 
     def heartbeat_send(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int = 3, force_mavlink1: bool = False) -> None:
         """
-        The sender is present. A Trimtab vehicle's custom_mode holds 0x54 in
-        its top byte, the version of this dialect in the next one and
-        its TRIMTAB_STATE in the lowest.
+        The sender is present. A Trimtab vehicle's custom_mode holds PX4's sub
+        mode in bits 24-31, PX4's main mode in bits 16-23, the mark
+        0x15 in bits 10-15, the version of this dialect in bits 4-9
+        and its TRIMTAB_STATE in bits 0-3.
 
         type                      : Vehicle or component type. (type:uint8_t, values:MAV_TYPE)
         autopilot                 : Autopilot type / class. (type:uint8_t, values:MAV_AUTOPILOT)
@@ -3553,6 +4002,42 @@ class MAVLink(object):
         """
         self.send(self.local_position_ned_encode(time_boot_ms, x, y, z, vx, vy, vz), force_mavlink1=force_mavlink1)
 
+    def global_position_int_encode(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int) -> MAVLink_global_position_int_message:
+        """
+        Position on the globe, computed from the local position and the origin
+        of the local frame.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        lat                       : Latitude. [degE7] (type:int32_t)
+        lon                       : Longitude. [degE7] (type:int32_t)
+        alt                       : Altitude above mean sea level. [mm] (type:int32_t)
+        relative_alt              : Height above home. [mm] (type:int32_t)
+        vx                        : Velocity north. [cm/s] (type:int16_t)
+        vy                        : Velocity east. [cm/s] (type:int16_t)
+        vz                        : Velocity down. [cm/s] (type:int16_t)
+        hdg                       : Heading, 0 to 359.99 deg. [cdeg] (type:uint16_t)
+
+        """
+        return MAVLink_global_position_int_message(time_boot_ms, lat, lon, alt, relative_alt, vx, vy, vz, hdg)
+
+    def global_position_int_send(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int, force_mavlink1: bool = False) -> None:
+        """
+        Position on the globe, computed from the local position and the origin
+        of the local frame.
+
+        time_boot_ms              : Time since boot. [ms] (type:uint32_t)
+        lat                       : Latitude. [degE7] (type:int32_t)
+        lon                       : Longitude. [degE7] (type:int32_t)
+        alt                       : Altitude above mean sea level. [mm] (type:int32_t)
+        relative_alt              : Height above home. [mm] (type:int32_t)
+        vx                        : Velocity north. [cm/s] (type:int16_t)
+        vy                        : Velocity east. [cm/s] (type:int16_t)
+        vz                        : Velocity down. [cm/s] (type:int16_t)
+        hdg                       : Heading, 0 to 359.99 deg. [cdeg] (type:uint16_t)
+
+        """
+        self.send(self.global_position_int_encode(time_boot_ms, lat, lon, alt, relative_alt, vx, vy, vz, hdg), force_mavlink1=force_mavlink1)
+
     def mission_request_list_encode(self, target_system: int, target_component: int, mission_type: int = 0) -> MAVLink_mission_request_list_message:
         """
         Asks for the list of mission items; there are none here.
@@ -3645,6 +4130,58 @@ class MAVLink(object):
         """
         self.send(self.mission_ack_encode(target_system, target_component, type, mission_type), force_mavlink1=force_mavlink1)
 
+    def set_gps_global_origin_encode(self, target_system: int, latitude: int, longitude: int, altitude: int, time_usec: int = 0) -> MAVLink_set_gps_global_origin_message:
+        """
+        Sets the place of the local frame's origin on the globe; answered by
+        GPS_GLOBAL_ORIGIN.
+
+        target_system             : System ID. (type:uint8_t)
+        latitude                  : Latitude. [degE7] (type:int32_t)
+        longitude                 : Longitude. [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level. [mm] (type:int32_t)
+        time_usec                 : Timestamp. [us] (type:uint64_t)
+
+        """
+        return MAVLink_set_gps_global_origin_message(target_system, latitude, longitude, altitude, time_usec)
+
+    def set_gps_global_origin_send(self, target_system: int, latitude: int, longitude: int, altitude: int, time_usec: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Sets the place of the local frame's origin on the globe; answered by
+        GPS_GLOBAL_ORIGIN.
+
+        target_system             : System ID. (type:uint8_t)
+        latitude                  : Latitude. [degE7] (type:int32_t)
+        longitude                 : Longitude. [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level. [mm] (type:int32_t)
+        time_usec                 : Timestamp. [us] (type:uint64_t)
+
+        """
+        self.send(self.set_gps_global_origin_encode(target_system, latitude, longitude, altitude, time_usec), force_mavlink1=force_mavlink1)
+
+    def gps_global_origin_encode(self, latitude: int, longitude: int, altitude: int, time_usec: int = 0) -> MAVLink_gps_global_origin_message:
+        """
+        The place of the local frame's origin on the globe.
+
+        latitude                  : Latitude. [degE7] (type:int32_t)
+        longitude                 : Longitude. [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level. [mm] (type:int32_t)
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+
+        """
+        return MAVLink_gps_global_origin_message(latitude, longitude, altitude, time_usec)
+
+    def gps_global_origin_send(self, latitude: int, longitude: int, altitude: int, time_usec: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        The place of the local frame's origin on the globe.
+
+        latitude                  : Latitude. [degE7] (type:int32_t)
+        longitude                 : Longitude. [degE7] (type:int32_t)
+        altitude                  : Altitude above mean sea level. [mm] (type:int32_t)
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+
+        """
+        self.send(self.gps_global_origin_encode(latitude, longitude, altitude, time_usec), force_mavlink1=force_mavlink1)
+
     def request_data_stream_encode(self, target_system: int, target_component: int, req_stream_id: int, req_message_rate: int, start_stop: int) -> MAVLink_request_data_stream_message:
         """
         Asks for groups of messages at a rate, as older ground stations do.
@@ -3670,6 +4207,34 @@ class MAVLink(object):
 
         """
         self.send(self.request_data_stream_encode(target_system, target_component, req_stream_id, req_message_rate, start_stop), force_mavlink1=force_mavlink1)
+
+    def vfr_hud_encode(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float) -> MAVLink_vfr_hud_message:
+        """
+        Speeds, heading and altitude for a display.
+
+        airspeed                  : 0: not measured. [m/s] (type:float)
+        groundspeed               : Horizontal speed. [m/s] (type:float)
+        heading                   : Heading, 0 to 359. [deg] (type:int16_t)
+        throttle                  : Mean motor command. [%] (type:uint16_t)
+        alt                       : Altitude above mean sea level. [m] (type:float)
+        climb                     : Speed upwards. [m/s] (type:float)
+
+        """
+        return MAVLink_vfr_hud_message(airspeed, groundspeed, heading, throttle, alt, climb)
+
+    def vfr_hud_send(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float, force_mavlink1: bool = False) -> None:
+        """
+        Speeds, heading and altitude for a display.
+
+        airspeed                  : 0: not measured. [m/s] (type:float)
+        groundspeed               : Horizontal speed. [m/s] (type:float)
+        heading                   : Heading, 0 to 359. [deg] (type:int16_t)
+        throttle                  : Mean motor command. [%] (type:uint16_t)
+        alt                       : Altitude above mean sea level. [m] (type:float)
+        climb                     : Speed upwards. [m/s] (type:float)
+
+        """
+        self.send(self.vfr_hud_encode(airspeed, groundspeed, heading, throttle, alt, climb), force_mavlink1=force_mavlink1)
 
     def command_int_encode(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float) -> MAVLink_command_int_message:
         """
@@ -3905,6 +4470,88 @@ class MAVLink(object):
         """
         self.send(self.timesync_encode(tc1, ts1), force_mavlink1=force_mavlink1)
 
+    def log_request_list_encode(self, target_system: int, target_component: int, start: int, end: int) -> MAVLink_log_request_list_message:
+        """
+        Asks for the logs on board.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        start                     : First log id. (type:uint16_t)
+        end                       : Last log id. (type:uint16_t)
+
+        """
+        return MAVLink_log_request_list_message(target_system, target_component, start, end)
+
+    def log_request_list_send(self, target_system: int, target_component: int, start: int, end: int, force_mavlink1: bool = False) -> None:
+        """
+        Asks for the logs on board.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        start                     : First log id. (type:uint16_t)
+        end                       : Last log id. (type:uint16_t)
+
+        """
+        self.send(self.log_request_list_encode(target_system, target_component, start, end), force_mavlink1=force_mavlink1)
+
+    def log_entry_encode(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int) -> MAVLink_log_entry_message:
+        """
+        Answers LOG_REQUEST_LIST; all fields are 0 where there are no logs.
+
+        id                        : Log id. (type:uint16_t)
+        num_logs                  : Total number of logs. (type:uint16_t)
+        last_log_num              : High log number. (type:uint16_t)
+        time_utc                  : UTC timestamp of the log since 1970. [s] (type:uint32_t)
+        size                      : Size of the log. [bytes] (type:uint32_t)
+
+        """
+        return MAVLink_log_entry_message(id, num_logs, last_log_num, time_utc, size)
+
+    def log_entry_send(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int, force_mavlink1: bool = False) -> None:
+        """
+        Answers LOG_REQUEST_LIST; all fields are 0 where there are no logs.
+
+        id                        : Log id. (type:uint16_t)
+        num_logs                  : Total number of logs. (type:uint16_t)
+        last_log_num              : High log number. (type:uint16_t)
+        time_utc                  : UTC timestamp of the log since 1970. [s] (type:uint32_t)
+        size                      : Size of the log. [bytes] (type:uint32_t)
+
+        """
+        self.send(self.log_entry_encode(id, num_logs, last_log_num, time_utc, size), force_mavlink1=force_mavlink1)
+
+    def serial_control_encode(self, device: int, flags: int, timeout: int, baudrate: int, count: int, data: Sequence[int], target_system: int = 0, target_component: int = 0) -> MAVLink_serial_control_message:
+        """
+        Bytes for a serial device or a shell, and its answer.
+
+        device                    : Serial control device type. (type:uint8_t, values:SERIAL_CONTROL_DEV)
+        flags                     : Bitmap of serial control flags. (type:uint8_t, values:SERIAL_CONTROL_FLAG)
+        timeout                   : Timeout for reply data. [ms] (type:uint16_t)
+        baudrate                  : Baudrate of transfer. Zero means no change. [bits/s] (type:uint32_t)
+        count                     : How many bytes are in this transfer. [bytes] (type:uint8_t)
+        data                      : Serial data. (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+
+        """
+        return MAVLink_serial_control_message(device, flags, timeout, baudrate, count, data, target_system, target_component)
+
+    def serial_control_send(self, device: int, flags: int, timeout: int, baudrate: int, count: int, data: Sequence[int], target_system: int = 0, target_component: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Bytes for a serial device or a shell, and its answer.
+
+        device                    : Serial control device type. (type:uint8_t, values:SERIAL_CONTROL_DEV)
+        flags                     : Bitmap of serial control flags. (type:uint8_t, values:SERIAL_CONTROL_FLAG)
+        timeout                   : Timeout for reply data. [ms] (type:uint16_t)
+        baudrate                  : Baudrate of transfer. Zero means no change. [bits/s] (type:uint32_t)
+        count                     : How many bytes are in this transfer. [bytes] (type:uint8_t)
+        data                      : Serial data. (type:uint8_t)
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+
+        """
+        self.send(self.serial_control_encode(device, flags, timeout, baudrate, count, data, target_system, target_component), force_mavlink1=force_mavlink1)
+
     def att_pos_mocap_encode(self, time_usec: int, q: Sequence[float], x: float, y: float, z: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)) -> MAVLink_att_pos_mocap_message:
         """
         Motion capture attitude and position: body FRD in world NED.
@@ -3932,6 +4579,36 @@ class MAVLink(object):
 
         """
         self.send(self.att_pos_mocap_encode(time_usec, q, x, y, z, covariance), force_mavlink1=force_mavlink1)
+
+    def altitude_encode(self, time_usec: int, altitude_monotonic: float, altitude_amsl: float, altitude_local: float, altitude_relative: float, altitude_terrain: float, bottom_clearance: float) -> MAVLink_altitude_message:
+        """
+        Altitudes above several references.
+
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+        altitude_monotonic        : Height above the origin of the local frame. [m] (type:float)
+        altitude_amsl             : Altitude above mean sea level. [m] (type:float)
+        altitude_local            : Height above the origin of the local frame. [m] (type:float)
+        altitude_relative         : Height above home. [m] (type:float)
+        altitude_terrain          : Below -1000: not known. [m] (type:float)
+        bottom_clearance          : Negative: not measured. [m] (type:float)
+
+        """
+        return MAVLink_altitude_message(time_usec, altitude_monotonic, altitude_amsl, altitude_local, altitude_relative, altitude_terrain, bottom_clearance)
+
+    def altitude_send(self, time_usec: int, altitude_monotonic: float, altitude_amsl: float, altitude_local: float, altitude_relative: float, altitude_terrain: float, bottom_clearance: float, force_mavlink1: bool = False) -> None:
+        """
+        Altitudes above several references.
+
+        time_usec                 : Time since boot. [us] (type:uint64_t)
+        altitude_monotonic        : Height above the origin of the local frame. [m] (type:float)
+        altitude_amsl             : Altitude above mean sea level. [m] (type:float)
+        altitude_local            : Height above the origin of the local frame. [m] (type:float)
+        altitude_relative         : Height above home. [m] (type:float)
+        altitude_terrain          : Below -1000: not known. [m] (type:float)
+        bottom_clearance          : Negative: not measured. [m] (type:float)
+
+        """
+        self.send(self.altitude_encode(time_usec, altitude_monotonic, altitude_amsl, altitude_local, altitude_relative, altitude_terrain, bottom_clearance), force_mavlink1=force_mavlink1)
 
     def battery_status_encode(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0) -> MAVLink_battery_status_message:
         """
@@ -4174,6 +4851,32 @@ class MAVLink(object):
 
         """
         self.send(self.odometry_encode(time_usec, frame_id, child_frame_id, x, y, z, q, vx, vy, vz, rollspeed, pitchspeed, yawspeed, pose_covariance, velocity_covariance, reset_counter, estimator_type, quality), force_mavlink1=force_mavlink1)
+
+    def param_error_encode(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int) -> MAVLink_param_error_message:
+        """
+        Says why a parameter was not read or set.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        param_id                  : Parameter id of the request. (type:char)
+        param_index               : Parameter index of the request, -1 where the id counts. (type:int16_t)
+        error                     : The reason. (type:uint8_t, values:MAV_PARAM_ERROR)
+
+        """
+        return MAVLink_param_error_message(target_system, target_component, param_id, param_index, error)
+
+    def param_error_send(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int, force_mavlink1: bool = False) -> None:
+        """
+        Says why a parameter was not read or set.
+
+        target_system             : System ID. (type:uint8_t)
+        target_component          : Component ID. (type:uint8_t)
+        param_id                  : Parameter id of the request. (type:char)
+        param_index               : Parameter index of the request, -1 where the id counts. (type:int16_t)
+        error                     : The reason. (type:uint8_t, values:MAV_PARAM_ERROR)
+
+        """
+        self.send(self.param_error_encode(target_system, target_component, param_id, param_index, error), force_mavlink1=force_mavlink1)
 
     def fc_control_encode(self, tick: int, collective: float, rate_cmd: Sequence[float], torque: Sequence[float], motor_sum: Sequence[int], gyro_sum: Sequence[int], force_sum: Sequence[int], rate_integral: Sequence[float]) -> MAVLink_fc_control_message:
         """

@@ -16,6 +16,9 @@ from typing import Any
 
 import pytest
 
+from trimtab.protocol.codec import decode_message
+from trimtab.protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
+
 os.environ["MAVLINK20"] = "1"  # pymavlink reads it when a connection is made
 
 MAV_TYPE_GCS = 6
@@ -88,13 +91,13 @@ def staying(*words: str) -> Iterator[str]:
 def serve() -> Iterator[Callable[..., str]]:
     """Starts a simulated vehicle: serve("udp:127.0.0.1:0") -> the address, HOST:PORT or a device.
 
-    Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
+    Further words are options of `trimtab sitl`. Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
     """
     with ExitStack() as stack:
 
-        def start(port: str = "udp:127.0.0.1:0") -> str:
+        def start(port: str = "udp:127.0.0.1:0", *words: str) -> str:
             mocap = free_url()
-            address = stack.enter_context(staying("sitl", "--port", port, "--mocap", mocap))
+            address = stack.enter_context(staying("sitl", "--port", port, "--mocap", mocap, *words))
             if address.startswith("udp:"):
                 said = stack.enter_context(staying("poses", "--port", address, "--mocap", mocap))
                 assert said.startswith("forwarding poses")
@@ -111,7 +114,7 @@ class Station:
 
     Attributes:
         texts: what the vehicle said. armed: whether its last heartbeat says so. track: LOCAL_POSITION_NED, as
-        (north, east, down).
+        (north, east, down). radio_stats: the reports of the radios, by system.
     """
 
     def __init__(self, url: str, system: int = 252, **options: Any) -> None:
@@ -124,11 +127,16 @@ class Station:
         self.texts: list[str] = []
         self.track: list[tuple[float, float, float]] = []
         self.armed = False
+        self.radio_stats: dict[int, list[RadioStats]] = {}
         self._said_s = 0.0
         self.link.message_hooks.append(self._note)
 
     def _note(self, link: Any, message: Any) -> None:
         kind = message.get_type()
+        if kind == f"UNKNOWN_{RadioStats.id}":
+            stats = decode_message(bytes(message.get_msgbuf()))
+            assert isinstance(stats, RadioStats)
+            self.radio_stats.setdefault(stats.get_srcSystem(), []).append(stats)
         if message.get_srcSystem() != 1:
             return
         if kind == "STATUSTEXT":
@@ -217,6 +225,11 @@ class Station:
         assert self.command(SET_MESSAGE_INTERVAL, LOCAL_POSITION_NED, 50_000) == ACCEPTED
         assert self.command(MISSION_START) == ACCEPTED
         self.until(lambda: not self.armed)
+
+    def downlink_loss(self) -> float:
+        """Share of the frames from the vehicle's radio to the ground radio that was lost, of all so far."""
+        sent, received = (self.radio_stats[system][-1] for system in (VEHICLE_RADIO[0], HOST_RADIO[0]))
+        return 1.0 - received.frames_received / sent.frames_sent
 
     def close(self) -> None:
         self.link.close()

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import queue
+import re
 import subprocess
 import sys
 import threading
@@ -110,6 +111,9 @@ def test_mavproxy_uploads_commits_flies_and_reads_back(
         console.until("MISSION_START: ACCEPTED", "long MISSION_START 0 0 0 0 0 0 0")
         beside.until(lambda: not beside.armed)
         console.until("DISARMED")
+        shown = re.search(r"([\d.]+)% loss", console.until("% loss", "link"))
+        assert shown is not None
+        assert float(shown[1]) == pytest.approx(100.0 * beside.downlink_loss(), abs=1.0)
     assert flown(beside.track)
     assert beside.parameters()["HOLD_S"][0] == 1.5
     assert not any("breach" in line for line in console.said)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 import pytest
@@ -116,6 +117,32 @@ def test_mavutil_streams_what_a_station_watches(
     assert own.answer("EXTENDED_SYS_STATE").landed_state == own.mavlink.MAV_LANDED_STATE_ON_GROUND
     needed = own.mavlink.MAV_SYS_STATUS_SENSOR_VISION_POSITION | own.mavlink.MAV_SYS_STATUS_SENSOR_3D_GYRO
     own.answer("SYS_STATUS", fits=lambda m: m.onboard_control_sensors_health & needed == needed)
+
+
+LOSSLESS = """description = "A radio that loses, repeats and damages nothing"
+tolerances = true
+[radio]
+loss = 0.0
+duplicate = 0.0
+corrupt = 0.0
+"""
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_mavutil_shows_the_loss_of_the_link(
+    lossless: bool, serve: Callable[..., str], station: Callable[..., Any], tmp_path: Path
+) -> None:
+    """mavutil counts 255 lost messages for each that another message of its component overtook."""
+    world = tmp_path / "lossless.toml"
+    world.write_text(LOSSLESS)
+    own = station("udpout:" + serve("udp:127.0.0.1:0", *(["--world", str(world)] if lossless else [])))
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 20, 1)
+    own.parameters()
+    own.until(lambda: own.link.mav_count > 2500)
+    assert own.link.packet_loss() == pytest.approx(100.0 * own.downlink_loss(), abs=1.0)
+    if lossless:
+        assert own.link.mav_loss == 0
 
 
 def test_several_stations_each_get_their_own_answers(

@@ -17,6 +17,8 @@ from trimtab.protocol.uwb_pieces import FRAME_BYTES
 OVERHEAD = 12
 STANDARD = sorted(number for number in MESSAGES if number < 52100)
 UNSENT = {"ATT_POS_MOCAP": 84}
+NEWER = {"SERIAL_CONTROL": ["target_system", "target_component"]}
+"""Extension fields (uint8_t) that MAVSDK sends and the installed pymavlink does not know yet."""
 SPLIT = {"FILE_TRANSFER_PROTOCOL", "ODOMETRY"}
 """Standard messages that need several frames."""
 """Bytes of fields at the end that are never sent: the pose covariance."""
@@ -28,9 +30,12 @@ def test_standard_message_equals_common_bit_for_bit(number: int) -> None:
 
     ours, theirs = mavlink.mavlink_map[number], common.mavlink_map[number]
     assert ours.crc_extra == theirs.crc_extra
-    for attribute in ("msgname", "fieldnames", "fieldtypes", "ordered_fieldnames", "array_lengths", "orders"):
-        assert getattr(ours, attribute) == getattr(theirs, attribute)
-    assert ours.unpacker.format == theirs.unpacker.format
+    assert ours.msgname == theirs.msgname
+    newer = NEWER.get(ours.msgname, [])
+    assert ours.fieldnames == theirs.fieldnames + newer
+    for attribute in ("fieldtypes", "ordered_fieldnames", "array_lengths", "orders"):
+        assert getattr(ours, attribute)[: len(theirs.fieldnames)] == getattr(theirs, attribute)
+    assert ours.unpacker.format == theirs.unpacker.format + "B" * len(newer)
 
 
 def test_standard_constants_equal_common() -> None:
@@ -106,15 +111,29 @@ def test_generate_gives_the_committed_bytes(tmp_path: Path) -> None:
 def test_vehicle_heartbeat_tells_the_dialect_version_and_state() -> None:
     heartbeat = m.vehicle_heartbeat(4, armed=True)
     assert m.dialect_version(heartbeat) == DIALECT_VERSION
-    assert heartbeat.custom_mode & 0xFF == 4
+    assert heartbeat.custom_mode & 0xF == 4
     assert heartbeat.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
     assert m.is_vehicle(heartbeat)
 
 
+def test_vehicle_heartbeat_has_px4s_modes_in_its_upper_half() -> None:
+    """Numbers from PX4's px4_custom_mode.h, which stock ground stations decode."""
+    ready, takeoff, hold, mission, land = (0x04 | sub << 8 for sub in (1, 2, 3, 4, 6))
+    offboard = 0x06
+    modes = [m.vehicle_heartbeat(state, armed=True).custom_mode >> 16 for state in range(9)]
+    assert modes == [ready, ready, ready, takeoff, mission, hold, land, land, offboard]
+
+
+def test_heartbeat_holds_every_dialect_version_that_may_follow() -> None:
+    assert DIALECT_VERSION <= 0x3F, "custom_mode has six bits for the version"
+
+
 def test_heartbeats_of_others_are_told_apart() -> None:
     newer = m.vehicle_heartbeat(1, armed=False)
-    newer.custom_mode += 1 << 16
+    newer.custom_mode += 1 << 4
     assert m.dialect_version(newer) == DIALECT_VERSION + 1
+    older = m.Heartbeat(mavlink.MAV_TYPE_QUADROTOR, mavlink.MAV_AUTOPILOT_GENERIC, 1, 0x54020001, 3, 3)
+    assert m.dialect_version(older) == 2  # the layout before version 3
     px4 = m.Heartbeat(mavlink.MAV_TYPE_QUADROTOR, 12, 81, 0x03040000, 4, 3)
     assert m.is_vehicle(px4)
     assert m.dialect_version(px4) is None

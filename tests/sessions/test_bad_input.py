@@ -589,13 +589,17 @@ def heartbeat(autopilot: int, custom_mode: int) -> bytes:
         (
             heartbeat(
                 m.mavlink.MAV_AUTOPILOT_GENERIC,
-                m.vehicle_heartbeat(1, armed=False).custom_mode + (1 << 16),
+                m.vehicle_heartbeat(1, armed=False).custom_mode + (1 << 4),
             ),
             [f"speaks version {m.DIALECT_VERSION + 1} of the dialect", "bring both to the same release"],
         ),
+        (
+            heartbeat(m.mavlink.MAV_AUTOPILOT_GENERIC, 0x54020001),  # as versions 1 and 2 laid it out
+            ["speaks version 2 of the dialect", "bring both to the same release"],
+        ),
         (heartbeat(3, 0), ["this MAVLink vehicle does not speak Trimtab's dialect"]),
     ],
-    ids=["another version", "another make"],
+    ids=["another version", "an older layout", "another make"],
 )
 def test_port_with_another_dialect_is_refused_at_once(
     refused: Refused,

@@ -1,5 +1,6 @@
 """The flight processor by its bytes: a host's view over two radios, lossy air and finite buffers."""
 
+import itertools
 import math
 import random
 import struct
@@ -92,6 +93,22 @@ def test_heartbeat_shows_arming(flown):
     assert not armed[0]
     assert any(armed)
     assert all(m.dialect_version(h) == m.DIALECT_VERSION for h in flown.received(m.Heartbeat))
+
+
+def test_messages_of_each_component_arrive_in_order(flown):
+    """The fast streams and the other private messages have components of their own."""
+    senders = {}
+    for message in flown.inbox:
+        if message.get_srcSystem() == 1:
+            senders.setdefault(m.sender_of(message), []).append(message)
+    kinds = {sender: {type(message) for message in senders[sender]} for sender in senders}
+    assert kinds[m.VEHICLE_FAST] == {m.FcControl, m.FcEstimate}
+    assert m.FcStatus in kinds[m.VEHICLE_PRIVATE]
+    assert all(kind.id >= m.PRIVATE_ID_MIN for kind in kinds[m.VEHICLE_PRIVATE])
+    assert all(kind.id < m.PRIVATE_ID_MIN for kind in kinds[m.VEHICLE])
+    for sent in senders.values():
+        steps = {(b.get_seq() - a.get_seq()) & 0xFF for a, b in itertools.pairwise(sent)}
+        assert steps == {1}
 
 
 def test_commands_are_acknowledged_to_who_asked(flown):

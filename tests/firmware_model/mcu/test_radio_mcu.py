@@ -62,7 +62,10 @@ def test_frames_hold_whole_messages_and_no_more_than_fit(radio, line):
     assert radio.frames_sent == len(frames) == 3  # four messages of 26 B a frame
 
 
-def test_commands_overtake_uploads(radio, line):
+def test_commands_overtake_uploads():
+    radio = RadioMcu(address=HOST_RADIO)
+    line = UartPort(baud=921_600, rx_bytes=1 << 15, tx_bytes=1 << 15)
+    connect(line, radio.uart)
     codec = Codec(*HOST)
     for k in range(5):
         line.write(codec.encode(m.UploadChunk(1, k, 1, bytes(range(99)))), 0)
@@ -70,6 +73,39 @@ def test_commands_overtake_uploads(radio, line):
     line.write(command, 0)
     radio.tick(20_000)
     assert radio.air_send(20_000) == command
+
+
+def test_vehicle_radio_keeps_the_order_of_each_component(radio, line):
+    """Fast telemetry has a component of its own and goes ahead; nothing else overtakes."""
+    autopilot, fast, private = Codec(*VEHICLE), Codec(*m.VEHICLE_FAST), Codec(*m.VEHICLE_PRIVATE)
+    for k in range(6):
+        line.write(autopilot.encode(m.FileTransfer(0, 255, 190, bytes([k + 1] * 251))), 0)
+        line.write(private.encode(m.UploadVerdict(0.0, 0.0, k, 0, 1, 0, b"")), 0)
+        line.write(autopilot.encode(m.CommandAck(400, 0, 0, 0, 255, 190)), 0)
+        line.write(fast.encode(m.FcObserver(k, [0.0] * 3)), 0)
+    radio.tick(40_000)
+    ground = RadioMcu(address=HOST_RADIO)
+    connect(host := UartPort(baud=921_600, rx_bytes=1 << 15, tx_bytes=1 << 15), ground.uart)
+    now_us = 40_000
+    while (frame := radio.air_send(now_us)) is not None:
+        ground.air_receive(frame, now_us)
+        ground.tick(now_us)
+        now_us += 2_000
+    received = Codec(*HOST).decode(host.read(10_000_000))
+    assert len(received) == 24
+    assert {type(message) for message in received[:6]} == {m.FcObserver}
+    for address in (VEHICLE, m.VEHICLE_FAST, m.VEHICLE_PRIVATE):
+        numbers = [message.get_seq() for message in received if m.sender_of(message) == address]
+        assert numbers == list(range(len(numbers)))
+
+
+def test_duplicate_of_a_frame_is_ignored_and_a_later_repeat_passes(radio, line):
+    frame = ping(Codec(*HOST), 1)
+    for now_us in (0, 1_000, 10_000):
+        radio.air_receive(frame, now_us)
+        radio.tick(now_us)
+    assert line.read(1_000_000) == frame * 2
+    assert radio.frames_received == 2
 
 
 def test_newer_pose_replaces_the_one_that_waits(radio, line):
@@ -106,13 +142,14 @@ def test_serial_buffer_overrun_is_counted_and_messages_after_it_pass(line, radio
 
 
 def test_air_buffer_overrun_is_counted_and_frames_after_it_pass(radio, line):
-    frame = ping(Codec(*HOST), 1) * 4
-    for _ in range(20):
+    codec = Codec(*HOST)
+    frames = [ping(codec, 1) * 4 for _ in range(20)]
+    for frame in frames:
         radio.air_receive(frame, 0)
     kept = AIR_BYTES // len(frame)
     assert radio.air_overruns == (20 - kept) * len(frame)
     radio.tick(0)
-    assert line.read(1_000_000) == frame * kept
+    assert line.read(1_000_000) == b"".join(frames[:kept])
     radio.air_receive(frame, 1_000_000)
     radio.tick(1_000_000)
     assert line.read(2_000_000) == frame
@@ -122,14 +159,15 @@ def test_frames_wait_while_the_line_has_no_room():
     radio = RadioMcu(tx_bytes=120)
     port = UartPort(baud=921_600, rx_bytes=1 << 15, tx_bytes=1 << 15)
     connect(port, radio.uart)
-    frame = ping(Codec(*HOST), 1) * 4
-    for _ in range(3):
+    codec = Codec(*HOST)
+    frames = [ping(codec, 1) * 4 for _ in range(3)]
+    for frame in frames:
         radio.air_receive(frame, 0)
     radio.tick(0)
     assert radio.due_us == 0
     for k in range(1, 5):
         radio.tick(1_000 * k)
-    assert port.read(10_000) == frame * 3
+    assert port.read(10_000) == b"".join(frames)
 
 
 def test_due_names_the_tick_that_has_work(radio, line):

@@ -41,6 +41,7 @@ class Server:
             upload=self.upload,
             text=lambda severity, text: self.texts.append(text),
             on_upload=lambda events, now_us: self.events.extend(events),
+            least_bytes=len,
         )
         self.writers: set[tuple[int, int]] | None = None  # None: everybody
         self.server = FtpServer(files, send=self.sent.append, may_write=self._may_write)

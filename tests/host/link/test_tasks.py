@@ -102,7 +102,7 @@ def test_find_vehicle_that_beats_but_does_not_answer_says_so(run: Run, fake: Any
 def test_find_vehicle_of_another_dialect_version_says_both(run: Run, fake: Any) -> None:
     beat = m.vehicle_heartbeat(1, armed=False)
     fake.heartbeat = m.Heartbeat(
-        beat.type, beat.autopilot, beat.base_mode, beat.custom_mode + (1 << 16), beat.system_status, 3
+        beat.type, beat.autopilot, beat.base_mode, beat.custom_mode + (1 << 4), beat.system_status, 3
     )
     text = failure(run(one(FindVehicle("ttyX")), fake), LinkError)
     assert f"version {m.DIALECT_VERSION + 1}" in text
