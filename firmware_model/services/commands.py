@@ -49,8 +49,6 @@ class Commands:
         Functions that make the messages for MAV_CMD_REQUEST_MESSAGE, by message id.
     on_upload
         Receives the events of a commit, and the time.
-    on_reboot
-        Receives the time at which a reboot was accepted.
     more
         Handlers of further commands; each returns MAV_RESULT, given the message and the time.
     """
@@ -65,7 +63,6 @@ class Commands:
         text: Callable[[int, str], None],
         requests: Mapping[float, Callable[[int], Message]],
         on_upload: Callable[[list[ReceiverEvent], int], None],
-        on_reboot: Callable[[int], None],
         more: Mapping[int, Callable[[Any, int], int]],
     ) -> None:
         self._flight = flight
@@ -75,7 +72,6 @@ class Commands:
         self._text = text
         self._requests = requests
         self._on_upload = on_upload
-        self._on_reboot = on_reboot
         self._commands: dict[int, Callable[[Any, int], int]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._check,
@@ -84,7 +80,6 @@ class Commands:
             mavlink.MAV_CMD_DO_SET_MODE: self._set_mode,
             mavlink.MAV_CMD_NAV_LAND: lambda message, now_us: self._event(Event.LAND, message, now_us),
             mavlink.MAV_CMD_DO_FLIGHTTERMINATION: self._terminate,
-            mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: self._reboot,
             mavlink.MAV_CMD_REQUEST_MESSAGE: self._request,
             mavlink.MAV_CMD_REQUEST_AUTOPILOT_CAPABILITIES: self._request_version,
             mavlink.MAV_CMD_USER_1: self._commit,
@@ -168,19 +163,6 @@ class Commands:
         if not message.param1 > 0.5:
             return _ACCEPTED
         return self._event(Event.KILL, message, now_us, terminates=True)
-
-    def _reboot(self, message: m.CommandLong, now_us: int) -> int:
-        """Reboot for param1 = 1, only while disarmed. 0 does nothing; a shutdown is not supported."""
-        if message.param1 == 0.0:
-            return _ACCEPTED
-        if message.param1 != 1.0:
-            return _UNSUPPORTED
-        if self._flight.state not in (State.BOOT, State.STANDBY):
-            self._text(_WARNING, f"reboot refused: {self._flight.state.name.lower()}")
-            return _NOT_NOW
-        self._text(mavlink.MAV_SEVERITY_NOTICE, "rebooting")
-        self._on_reboot(now_us)
-        return _ACCEPTED
 
     def _request(self, message: m.CommandLong, now_us: int) -> int:
         make = self._requests.get(message.param1)

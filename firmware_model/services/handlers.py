@@ -13,6 +13,7 @@ from typing import Any
 
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.parameters import ParameterValues
+from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.services.absent import AbsentServices
 from trimtab.firmware_model.services.commands import Commands
 from trimtab.firmware_model.services.files import BlobFiles
@@ -156,8 +157,12 @@ class Handlers:
                 **self.streams.requests(),
             },
             on_upload=self.report_upload,
-            on_reboot=hooks.on_reboot,
-            more=self.streams.commands(),
+            more={
+                **self.streams.commands(),
+                mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN: lambda message, now_us: self._reboot(
+                    message, now_us, hooks.on_reboot
+                ),
+            },
         )
 
     def receive(self, message: Message, now_us: int) -> None:
@@ -207,6 +212,19 @@ class Handlers:
             self._send(answer)
 
     # Small services.
+
+    def _reboot(self, message: m.CommandLong, now_us: int, on_reboot: Callable[[int], None]) -> int:
+        """Reboot for param1 = 1, only while disarmed. 0 does nothing; a shutdown is not supported."""
+        if message.param1 == 0.0:
+            return mavlink.MAV_RESULT_ACCEPTED
+        if message.param1 != 1.0:
+            return mavlink.MAV_RESULT_UNSUPPORTED
+        if self._flight.state not in (State.BOOT, State.STANDBY):
+            self.text(mavlink.MAV_SEVERITY_WARNING, f"reboot refused: {self._flight.state.name.lower()}")
+            return mavlink.MAV_RESULT_TEMPORARILY_REJECTED
+        self.text(mavlink.MAV_SEVERITY_NOTICE, "rebooting")
+        on_reboot(now_us)
+        return mavlink.MAV_RESULT_ACCEPTED
 
     def _timesync(self, message: m.Timesync, now_us: int) -> None:
         if message.tc1 == 0:
