@@ -141,7 +141,7 @@ class Commands:
             return _UNSUPPORTED
         if event is Event.OFFBOARD and not int(message.param1) & _ARMED:
             # mavutil sends ArduCopter's RTL in this way to vehicles that are not PX4's.
-            self._text(_WARNING, "offboard refused: mode 6 needs flag 128, else it is RTL")
+            self._text(_WARNING, "offboard refused: mode 6 without flag 128 is RTL")
             return mavlink.MAV_RESULT_DENIED
         return self._event(event, now_us)
 

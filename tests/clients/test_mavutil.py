@@ -119,6 +119,21 @@ def test_mavutil_streams_what_a_station_watches(
     own.answer("SYS_STATUS", fits=lambda m: m.onboard_control_sensors_health & needed == needed)
 
 
+def test_mavutil_sets_the_origin_of_the_globe(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    latitude, longitude, altitude_mm = -335000001, 1512345678, 12_500
+    told = own.answer(
+        "GPS_GLOBAL_ORIGIN",
+        lambda: own.link.mav.set_gps_global_origin_send(1, latitude, longitude, altitude_mm),
+    )
+    assert (told.latitude, told.longitude, told.altitude) == (latitude, longitude, altitude_mm)
+    globe = own.answer("GLOBAL_POSITION_INT", fits=lambda m: m.lat < 0)
+    assert (globe.lat, globe.lon) == pytest.approx((latitude, longitude), abs=50)  # half a metre
+    assert globe.alt == pytest.approx(altitude_mm, abs=100)
+    assert own.answer("VFR_HUD").groundspeed < 0.1
+
+
 LOSSLESS = """description = "A radio that loses, repeats and damages nothing"
 tolerances = true
 [radio]
