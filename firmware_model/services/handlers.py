@@ -105,8 +105,8 @@ class Handlers:
         self.streams = Streams(flight=flight, send=send, battery_v=hooks.battery_v)
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.report_upload)
         self._ftp = FtpServer(files, send=send)
-        commands = self._commands(hooks.status)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
+        commands = self._commands(hooks.status, setpoints)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,
@@ -128,7 +128,7 @@ class Handlers:
             m.UploadAbort: self._upload_message,
         }
 
-    def _commands(self, status: Callable[[int], Message]) -> Commands:
+    def _commands(self, status: Callable[[int], Message], setpoints: SetpointService) -> Commands:
         """Return the handler of commands. status: returns FC_STATUS at a time in us."""
         return Commands(
             flight=self._flight,
@@ -143,6 +143,7 @@ class Handlers:
             },
             on_upload=self.report_upload,
             more=self.streams.commands(),
+            setpoint_source=lambda: setpoints.source,
         )
 
     def receive(self, message: Message, now_us: int) -> None:

@@ -34,12 +34,18 @@ class SetpointService:
         Receives target and time.
     text
         Sends severity and text to the host.
+
+    Attributes
+    ----------
+    source
+        System and component that sent the last setpoint, or None.
     """
 
     def __init__(self, *, take: Callable[[Target, int], None], text: Callable[[int, str], None]) -> None:
         self._take = take
         self._text = text
         self._reported: set[str] = set()
+        self.source: tuple[int, int] | None = None
 
     def position(self, message: m.SetPositionTarget, now_us: int) -> None:
         """Follow or refuse SET_POSITION_TARGET_LOCAL_NED."""
@@ -69,6 +75,7 @@ class SetpointService:
                 yaw_rate=yaw_rate,
                 ahead=frame == _BODY,
             )
+            self.source = m.sender_of(message)
             self._take(target, now_us)
 
     def attitude(self, message: m.SetAttitudeTarget, now_us: int) -> None:
@@ -92,6 +99,7 @@ class SetpointService:
                 rate=(rate[0] or 0.0, rate[1] or 0.0, rate[2] or 0.0),
                 q=None if q is None else (q[0] / length, q[1] / length, q[2] / length, q[3] / length),
             )
+            self.source = m.sender_of(message)
             self._take(target, now_us)
 
     def _fields(self, numbers: Sequence[float], ignored: int) -> list[float | None]:

@@ -10,6 +10,7 @@ from trimtab.firmware_model.flight.setpoints import AttitudeTarget, PositionTarg
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.services.setpoint_service import NOT_FINITE, SetpointService
 from trimtab.protocol import messages as m
+from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import mavlink
 
 NAN = math.nan
@@ -208,8 +209,10 @@ def test_mode_6_of_arducopter_starts_no_offboard_and_mode_9_lands(make_session):
     session.run_to(State.HOLD)
     session.send(m.SetPositionTarget(0, 1, 1, LOCAL, NO_V | NO_A, 0.0, 0.0, -1.2, *(0.0,) * 8))
     session.run(0.1)
+    own, session.host = session.host, Codec(255, 230)  # MAVProxy
     assert ask(session, 176, 1.0, 6.0) == (176, denied)
-    assert "offboard refused: mode 6 without flag 128 is RTL" in session.texts()
+    session.host = own
+    assert "offboard refused: setpoints of another station" in session.texts()
     assert session.flight.state is State.HOLD
     assert ask(session, 176, 1.0, 9.0) == (176, accepted)
     assert session.flight.state is State.LANDING
