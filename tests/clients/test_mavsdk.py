@@ -27,7 +27,7 @@ def _clients(require: Callable[[str], None]) -> None:
 def test_session_of_the_page_uploads_commits_flies_and_reads_back(
     serve: Callable[..., str], reference_file: Path, tmp_path: Path
 ) -> None:
-    (script,) = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), flags=re.MULTILINE | re.DOTALL)
+    script, _ = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), flags=re.MULTILINE | re.DOTALL)
     (tmp_path / "session.py").write_text(script)
     done = subprocess.run(
         [sys.executable, "session.py", f"udpout://{serve()}", str(reference_file)],
