@@ -26,7 +26,6 @@ _LOCAL_FRAMES = (
 )
 
 _CUSTOM_MODE = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED
-_ARMED = mavlink.MAV_MODE_FLAG_SAFETY_ARMED
 _MODES: dict[tuple[float, float | None], Event] = {
     (4.0, 3.0): Event.HOLD,
     (4.0, 6.0): Event.LAND,
@@ -34,6 +33,9 @@ _MODES: dict[tuple[float, float | None], Event] = {
     (9.0, 0.0): Event.LAND,
 }
 """Events by PX4 main mode and sub mode; None stands for any sub mode. 9 is ArduCopter's LAND."""
+
+Outcome = int | tuple[int, Message]
+"""MAV_RESULT of a command, or MAV_RESULT and the message that the command asks for."""
 
 
 class Commands:
@@ -50,7 +52,7 @@ class Commands:
     on_upload
         Receives the events of a commit, and the time.
     more
-        Handlers of further commands; each returns MAV_RESULT, given the message and the time.
+        Handlers of further commands; each returns its outcome, given the message and the time.
     """
 
     def __init__(
@@ -63,7 +65,7 @@ class Commands:
         text: Callable[[int, str], None],
         requests: Mapping[float, Callable[[int], Message]],
         on_upload: Callable[[list[ReceiverEvent], int], None],
-        more: Mapping[int, Callable[[Any, int], int]],
+        more: Mapping[int, Callable[[Any, int], Outcome]],
     ) -> None:
         self._flight = flight
         self._ownership = ownership
@@ -72,7 +74,7 @@ class Commands:
         self._text = text
         self._requests = requests
         self._on_upload = on_upload
-        self._commands: dict[int, Callable[[Any, int], int]] = {
+        self._commands: dict[int, Callable[[Any, int], Outcome]] = {
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM: self._arm,
             mavlink.MAV_CMD_RUN_PREARM_CHECKS: self._check,
             mavlink.MAV_CMD_MISSION_START: lambda message, now_us: self._event(Event.START, message, now_us),
@@ -87,10 +89,13 @@ class Commands:
         }
 
     def long(self, message: m.CommandLong, now_us: int) -> None:
-        """Execute or refuse a command, and acknowledge it."""
+        """Execute or refuse a command, and acknowledge it. The message that it requests follows."""
         act = self._commands.get(message.command)
-        result = _UNSUPPORTED if act is None else act(message, now_us)
+        outcome = _UNSUPPORTED if act is None else act(message, now_us)
+        result, answer = outcome if isinstance(outcome, tuple) else (outcome, None)
         self._send(m.CommandAck(message.command, result, 0, 0, *m.sender_of(message)))
+        if answer is not None:
+            self._send(answer)
 
     def int(self, message: m.CommandInt, now_us: int) -> None:
         """Handle COMMAND_INT like COMMAND_LONG. x and y are 1e-4 m in a local frame, else ignored."""
@@ -151,29 +156,19 @@ class Commands:
     def _set_mode(self, message: m.CommandLong, now_us: int) -> int:
         named = bool(math.isfinite(message.param1) and int(message.param1) & _CUSTOM_MODE)
         event = _MODES.get((message.param2, message.param3)) or _MODES.get((message.param2, None))
-        if not named or event is None:
-            return _UNSUPPORTED
-        if event is Event.OFFBOARD and not int(message.param1) & _ARMED:
-            # mavutil sends ArduCopter's RTL in this way to vehicles that are not PX4's.
-            self._text(_WARNING, "offboard refused: mode 6 needs flag 128, else it is RTL")
-            return mavlink.MAV_RESULT_DENIED
-        return self._event(event, message, now_us)
+        return self._event(event, message, now_us) if named and event is not None else _UNSUPPORTED
 
     def _terminate(self, message: m.CommandLong, now_us: int) -> int:
         if not message.param1 > 0.5:
             return _ACCEPTED
         return self._event(Event.KILL, message, now_us, terminates=True)
 
-    def _request(self, message: m.CommandLong, now_us: int) -> int:
+    def _request(self, message: m.CommandLong, now_us: int) -> Outcome:
         make = self._requests.get(message.param1)
-        if make is None:
-            return _UNSUPPORTED
-        self._send(make(now_us))
-        return _ACCEPTED
+        return _UNSUPPORTED if make is None else (_ACCEPTED, make(now_us))
 
-    def _request_version(self, message: m.CommandLong, now_us: int) -> int:
-        self._send(self._requests[m.AutopilotVersion.id](now_us))
-        return _ACCEPTED
+    def _request_version(self, message: m.CommandLong, now_us: int) -> Outcome:
+        return _ACCEPTED, self._requests[m.AutopilotVersion.id](now_us)
 
     def _commit(self, message: m.CommandLong, now_us: int) -> int:
         """Commit the staged blob by MAV_CMD_USER_1, which has the 12 hex digits of its id as three uint16."""

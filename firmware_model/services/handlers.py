@@ -119,8 +119,8 @@ class Handlers:
         )
         files = BlobFiles(store=store, upload=upload, text=self.text, on_upload=self.report_upload)
         self._ftp = FtpServer(files, send=send, may_write=self.ownership.may_act)
-        commands = self._commands(hooks)
         setpoints = SetpointService(take=flight.setpoint, text=self.text)
+        commands = self._commands(hooks)
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,

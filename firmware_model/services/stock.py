@@ -51,7 +51,7 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
     """Return SYS_STATUS.
 
     The gyro is healthy once calibrated, vision while poses arrive, and the pre-arm check if it passes. The
-    bit of the GPS says that the position on the globe is valid, also while poses arrive. The geofence is
+    bit of the GPS says that the position on the globe is valid: gyro and vision are healthy. The geofence is
     healthy until the vehicle leaves it: MAVProxy reports any other value as a breach.
     """
     health = _ALWAYS | _BATTERY
@@ -60,7 +60,7 @@ def sys_status(flight: Flight, now_us: int, battery_v: float) -> m.SysStatus:
     if flight.calibration.bias is not None:
         health |= _GYRO
     if flight.has_pose(now_us):
-        health |= _MOCAP | _GLOBAL
+        health |= _MOCAP | (_GLOBAL if health & _GYRO else 0)
     if not flight.arming_reasons(now_us):
         health |= _PREARM
     millivolts, percent = _millivolts(battery_v), _percent(flight, battery_v)

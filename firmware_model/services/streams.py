@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.services import global_position, stock
+from trimtab.firmware_model.services.commands import Outcome
 from trimtab.firmware_model.services.telemetry import HEARTBEAT_US, STATUS_US
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
@@ -120,8 +121,8 @@ class Streams:
         """Return functions that make the messages for MAV_CMD_REQUEST_MESSAGE, by message id."""
         return {number: lambda now_us, number=number: self._make(number, now_us) for number in STREAMS}
 
-    def commands(self) -> dict[int, Callable[[m.CommandLong, int], int]]:
-        """Return command handlers by command; each returns MAV_RESULT, given the message and the time."""
+    def commands(self) -> dict[int, Callable[[m.CommandLong, int], Outcome]]:
+        """Return command handlers by command; each returns its outcome, given the message and the time."""
         return {
             mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: self._set_interval,
             mavlink.MAV_CMD_GET_MESSAGE_INTERVAL: self._get_interval,
@@ -223,13 +224,11 @@ class Streams:
         self._station_heard(now_us)
         return _ACCEPTED
 
-    def _get_interval(self, message: m.CommandLong, now_us: int) -> int:
+    def _get_interval(self, message: m.CommandLong, now_us: int) -> Outcome:
         number = message.param1
         if not 0 <= number <= 0xFFFF:
             return _DENIED
-        self._send(m.MessageInterval(int(number), self.interval_us(int(number))))
-        return _ACCEPTED
+        return _ACCEPTED, m.MessageInterval(int(number), self.interval_us(int(number)))
 
-    def _get_home(self, message: m.CommandLong, now_us: int) -> int:
-        self._send(self._make(m.HomePosition.id, now_us))
-        return _ACCEPTED
+    def _get_home(self, message: m.CommandLong, now_us: int) -> Outcome:
+        return _ACCEPTED, self._make(m.HomePosition.id, now_us)

@@ -207,8 +207,8 @@ class ControlStream:
             client.send(self._first_node())
         if now_us >= self._command_us and not self._offboard:
             self._command_us = now_us + RETRY_US
-            flags = mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED | mavlink.MAV_MODE_FLAG_SAFETY_ARMED
-            client.send(command_message(mavlink.MAV_CMD_DO_SET_MODE, (float(flags), _PX4_OFFBOARD)))
+            mode = (float(mavlink.MAV_MODE_FLAG_CUSTOM_MODE_ENABLED), _PX4_OFFBOARD)
+            client.send(command_message(mavlink.MAV_CMD_DO_SET_MODE, mode))
         self.deadline_us = self._setpoint_us if self._offboard else min(self._setpoint_us, self._command_us)
 
     def _first_node(self) -> Message:

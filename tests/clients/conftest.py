@@ -1,5 +1,8 @@
 """`trimtab sitl` in a process of its own, `trimtab poses` beside it, and the reference that clients fly."""
 
+# pyright: reportMissingImports=false
+# MAVSDK is of the extra `clients`.
+
 from __future__ import annotations
 
 import hashlib
@@ -16,6 +19,7 @@ from typing import Any
 
 import pytest
 
+from tests.clients.mavsdk_vehicle import Watched
 from trimtab.protocol.codec import decode_message
 from trimtab.protocol.messages import HOST_RADIO, VEHICLE_RADIO, RadioStats
 
@@ -91,7 +95,8 @@ def staying(*words: str) -> Iterator[str]:
 def serve() -> Iterator[Callable[..., str]]:
     """Starts a simulated vehicle: serve("udp:127.0.0.1:0") -> the address, HOST:PORT or a device.
 
-    Further words are options of `trimtab sitl`. Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
+    Further words are options of `trimtab sitl`. Over UDP, `trimtab poses` forwards the camera system's poses
+    to the same port.
     """
     with ExitStack() as stack:
 
@@ -248,6 +253,24 @@ def flown(track: Sequence[tuple[float, float, float]]) -> bool:
 @pytest.fixture(scope="session", name="flown")
 def _flown() -> Callable[[Sequence[tuple[float, float, float]]], bool]:
     return flown
+
+
+@pytest.fixture
+def connect() -> Iterator[Callable[[str], Watched]]:
+    """Connects MAVSDK: connect("udpout://HOST:PORT")."""
+    from mavsdk import ComponentType, Configuration, Mavsdk
+
+    with ExitStack() as stack:
+
+        def start(url: str) -> Watched:
+            mavsdk = Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION))
+            stack.callback(mavsdk.destroy)
+            mavsdk.add_any_connection(url)
+            system = mavsdk.first_autopilot(timeout_s=60.0)
+            assert system is not None
+            return Watched(system)
+
+        yield start
 
 
 @pytest.fixture

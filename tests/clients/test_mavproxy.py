@@ -137,5 +137,24 @@ def test_mavproxy_sets_a_whole_number(
     assert changed.param_type == 6  # MAV_PARAM_TYPE_INT32
 
 
+def test_mavproxy_lists_no_logs_and_lands_by_mode(
+    serve: Callable[..., str], station: Callable[..., Any], require: Callable[[str], None], tmp_path: Path
+) -> None:
+    """MAVProxy names modes as an ArduCopter numbers them: LAND is 9; RTL, 6, is PX4's offboard."""
+    require("clients")
+    address = serve()
+    beside = station(f"udpout:{address}")
+    beside.answer("HEARTBEAT")
+    with mavproxy(address, tmp_path) as console:
+        console.until(" parameters to ./mav.parm")
+        console.until("No logs", "log list")
+        console.until("COMPONENT_ARM_DISARM: ACCEPTED", "arm throttle")
+        console.until("NAV_TAKEOFF: ACCEPTED", "takeoff 1")
+        beside.until(lambda: bool(beside.track) and beside.track[-1][2] < -0.9)
+        console.until("offboard refused: no setpoints", "mode RTL")
+        console.until("DO_SET_MODE: ACCEPTED", "mode LAND")
+        beside.until(lambda: not beside.armed)
+
+
 BITS_OF_6 = 8.407790785948902e-45
 """The float whose bits are the int32 6."""

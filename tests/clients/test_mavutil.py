@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
 import struct
+import subprocess
+import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+PAGE = Path(__file__).parent.parent.parent / "docs" / "guide" / "clients.md"
 pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
 ACCEPTED, TEMPORARILY_REJECTED, DENIED, UNSUPPORTED = 0, 1, 2, 3
@@ -119,6 +123,21 @@ def test_mavutil_streams_what_a_station_watches(
     own.answer("SYS_STATUS", fits=lambda m: m.onboard_control_sensors_health & needed == needed)
 
 
+def test_mavutil_sets_the_origin_of_the_globe(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    latitude, longitude, altitude_mm = -335000001, 1512345678, 12_500
+    told = own.answer(
+        "GPS_GLOBAL_ORIGIN",
+        lambda: own.link.mav.set_gps_global_origin_send(1, latitude, longitude, altitude_mm),
+    )
+    assert (told.latitude, told.longitude, told.altitude) == (latitude, longitude, altitude_mm)
+    globe = own.answer("GLOBAL_POSITION_INT", fits=lambda m: m.lat < 0)
+    assert (globe.lat, globe.lon) == pytest.approx((latitude, longitude), abs=50)  # half a metre
+    assert globe.alt == pytest.approx(altitude_mm, abs=100)
+    assert own.answer("VFR_HUD").groundspeed < 0.1
+
+
 LOSSLESS = """description = "A radio that loses, repeats and damages nothing"
 tolerances = true
 [radio]
@@ -143,6 +162,25 @@ def test_mavutil_shows_the_loss_of_the_link(
     assert own.link.packet_loss() == pytest.approx(100.0 * own.downlink_loss(), abs=1.0)
     if lossless:
         assert own.link.mav_loss == 0
+
+
+def test_script_of_the_page_reads_private_messages(serve: Callable[..., str], tmp_path: Path) -> None:
+    """mavutil with Trimtab's dialect as its own, in a process of its own: the dialect is global."""
+    _, script = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "watch.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "watch.py", f"udpout:{serve()}"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    motors, state, loss = done.stdout.splitlines()[-3:]
+    assert motors.startswith("motor commands [")
+    assert state == "state 2"
+    found = re.fullmatch(r"([\d.]+) % of \d+ messages lost", loss)
+    assert found is not None
+    assert float(found[1]) < 10.0
 
 
 def test_several_stations_each_get_their_own_answers(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import xml.etree.ElementTree as ElementTree
 from pathlib import Path
 
@@ -45,6 +46,17 @@ def test_standard_constants_equal_common() -> None:
     assert len(names) > 40
     for name in names:
         assert getattr(mavlink, name) == getattr(common, name), name
+
+
+def test_dialect_has_every_constant_that_mavutil_names() -> None:
+    """mavutil can thus load it in place of common: it reads most of these at a connection's start."""
+    from pymavlink import mavutil
+    from pymavlink.dialects.v20 import common
+
+    source = Path(mavutil.__file__).read_text(encoding="utf-8")
+    names = set(re.findall(r"\bmavlink\.((?:MAV|SERIAL)_[A-Z0-9_]+)", source))
+    assert len(names) > 40
+    assert {name for name in names if hasattr(common, name) and not hasattr(mavlink, name)} == set()
 
 
 def test_private_messages_have_free_ids() -> None:

@@ -242,6 +242,32 @@ def test_param_set_of_another_type_or_out_of_range_is_refused(make_session, name
     (answer,) = session.received(m.ParamValue)
     assert decode(answer.param_value, answer.param_type) == float32(DEFAULTS[name.decode()])
     assert text in session.texts()
+    (error,) = session.received(m.ParamError)
+    assert (error.param_id, error.error) == (name.decode(), mavlink.MAV_PARAM_ERROR_VALUE_OUT_OF_RANGE)
+    assert (error.target_system, error.target_component) == HOST
+    assert session.inbox.index(error) < session.inbox.index(answer)
+
+
+def test_parameter_that_does_not_exist_is_answered_with_an_error(make_session):
+    session = make_session()
+    session.run(0.3)
+    session.send(m.ParamSet(1, 1, b"NOPE", 1.0, REAL32), m.ParamRequestRead(1, 1, b"NOPE2", -1))
+    session.send(m.ParamRequestRead(1, 1, b"", 9999))
+    session.run(0.2)
+    errors = [(error.param_id, error.param_index, error.error) for error in session.received(m.ParamError)]
+    missing = mavlink.MAV_PARAM_ERROR_DOES_NOT_EXIST
+    assert errors == [("NOPE", -1, missing), ("NOPE2", -1, missing), ("", 9999, missing)]
+
+
+def test_parameter_set_while_armed_is_answered_with_an_error(make_session):
+    session = make_session()
+    session.run(1.0)
+    session.command(400, 1.0)
+    session.run_to(State.ARMED, 1.0)
+    session.send(m.ParamSet(1, 1, b"HOLD_S", 2.0, REAL32))
+    session.run(0.2)
+    (error,) = session.received(m.ParamError)
+    assert error.error == mavlink.MAV_PARAM_ERROR_PERMISSION_DENIED
 
 
 def test_param_lists_asked_for_by_two_stations_both_come_whole(make_session):

@@ -459,6 +459,23 @@ def test_reference_put_as_a_file_that_is_too_fast_is_refused_with_node_and_reaso
     assert line.store.staged(Kind.REFERENCE) is None
 
 
+def test_file_that_is_too_large_by_its_header_is_refused_at_the_first_write(make_line, make_blob):
+    line = make_line()
+    line.run(0.3)
+    blob = bytearray(make_blob().to_bytes())
+    blob[38:42] = (6000).to_bytes(4, "little")  # the count of nodes
+    transfer(line, Opcode.CREATE_FILE, 1, size=len(STAGED), data=STAGED.encode())
+    for number in (2, 3):
+        transfer(line, Opcode.WRITE_FILE, number, size=DATA_BYTES, data=bytes(blob[:DATA_BYTES]))
+        line.run(0.05)
+        answer = Packet.decode(line.received(m.FileTransfer)[-1].payload)
+        assert (answer.request, nak(answer, Error.INVALID_DATA_SIZE)) == (Opcode.WRITE_FILE, True)
+    assert line.texts().count("staged.ref refused: 312058 bytes, at most 262144") == 1
+    assert nak(put_file(line, bytes(300), number=9), Error.FAIL)
+    assert any(text.startswith("magic: ") for text in line.texts())
+    assert put_file(line, make_blob().to_bytes(), number=20).opcode == Opcode.ACK
+
+
 def test_reason_longer_than_a_text_comes_in_lines(make_line, make_blob):
     line = make_line()
     line.run(0.3)

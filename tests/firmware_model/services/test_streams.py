@@ -319,7 +319,7 @@ def test_landed_state_in_offboard_is_told_by_height(make_session):
         return session.received(m.ExtendedSysState)[-1].landed_state
 
     stream(0.0, 0.2)
-    session.command(176, 129.0, 6.0)
+    session.command(176, 1.0, 6.0)
     stream(0.0, 1.0)
     assert session.flight.state is State.OFFBOARD
     assert landed() == mavlink.MAV_LANDED_STATE_ON_GROUND
