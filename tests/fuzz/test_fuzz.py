@@ -154,7 +154,7 @@ def test_blob_made_live_before_its_commit_is_found(monkeypatch: pytest.MonkeyPat
     before, before_commit = ReferenceStore.stage, ReferenceStore.commit
     monkeypatch.setattr(ReferenceStore, "stage", stage)
     monkeypatch.setattr(ReferenceStore, "commit", commit)
-    assert any("live blob" in crash.error for crash in _crashes("vehicle-messages", 6_000).crashes)
+    assert any("live blob" in crash.error for crash in _crashes("vehicle-messages", 12_000).crashes)
 
 
 def test_rotors_that_turn_in_standby_are_found(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -39,6 +39,10 @@ _PARAMETERS, _ROTORS = 4, 3
 _LIVE, _STAGED = (5, 7), (6, 8)
 
 
+_SETTERS = {"PARAM_SET", "SET_GPS_GLOBAL_ORIGIN"}
+"""Messages that set parameters."""
+
+
 class VehicleTarget:
     """The flight processor in one of several situations, chosen by the integer `situation`.
 
@@ -186,7 +190,7 @@ class VehicleTarget:
         self._asked = self._asked or any(_commits(one) for one in found)
         self._armed = self._armed or not kinds.isdisjoint(_COMMANDS)
         if before[_PARAMETERS] != after[_PARAMETERS]:
-            if "PARAM_SET" not in kinds:
+            if kinds.isdisjoint(_SETTERS):
                 raise Broken("a parameter changed without PARAM_SET")
             if before[0] is not State.STANDBY:
                 raise Broken(f"a parameter changed in {before[0].name}")
