@@ -42,6 +42,7 @@ CommandAck = mavlink.MAVLink_command_ack_message
 Timesync = mavlink.MAVLink_timesync_message
 AttPosMocap = mavlink.MAVLink_att_pos_mocap_message
 AutopilotVersion = mavlink.MAVLink_autopilot_version_message
+SetupSigning = mavlink.MAVLink_setup_signing_message
 StatusText = mavlink.MAVLink_statustext_message
 FcControl = mavlink.MAVLink_fc_control_message
 FcEstimate = mavlink.MAVLink_fc_estimate_message
