@@ -173,6 +173,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "greatest angle at arming between the verticals of accelerometer and poses",
     ),
     _row("ARM_GYRO_STILL", 0.15, "rad/s", 0.001, 5.0, "greatest change of a gyro sample during calibration"),
+    _row("SIGN_REQUIRED", 0, "", 0, 1, "1: arming needs a key of message signing", integer=True),
     # Rejection of poses in flight.
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),

@@ -248,7 +248,7 @@ class SimulatedVehicle:
             store=self.store,
             uid=session_uid(seed, flight),
             vehicle_id=setting.vehicle.id_bytes,
-            uart=flight_uart(**serial),
+            uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
         )
         self._command: Any = self._flight_mcu.motor_command

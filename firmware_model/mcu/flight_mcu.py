@@ -15,8 +15,10 @@ from trimtab.firmware_model.mcu.swapping import AgreedSwap
 from trimtab.firmware_model.mcu.uart import UartPort
 from trimtab.firmware_model.services import telemetry
 from trimtab.firmware_model.services.handlers import Handlers, Hooks, Identity
+from trimtab.firmware_model.services.signing_service import SigningService
 from trimtab.firmware_model.services.telemetry import LoopTimes
 from trimtab.firmware_model.storage.store import ReferenceStore
+from trimtab.protocol import unsigned
 from trimtab.protocol.blobs import FeedForward, Kind, Reference, from_bytes
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import (
@@ -43,9 +45,12 @@ CATCH_UP_TICKS = 20
 """Greatest number of missed ticks that one tick runs in addition."""
 
 
-def flight_uart(*, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0) -> UartPort:
-    """Return the flight processor's end of the line to the radio processor; see `UartPort`."""
-    return UartPort(baud=baud, rx_bytes=RX_BYTES, tx_bytes=TX_BYTES, chunk_bytes=chunk_bytes, idle_us=idle_us)
+def flight_uart(
+    *, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0, wired: bool = False
+) -> UartPort:
+    """Return the flight processor's end of the line to the radio processor or the host; see `UartPort`."""
+    buffers = {"rx_bytes": RX_BYTES, "tx_bytes": TX_BYTES}
+    return UartPort(baud=baud, chunk_bytes=chunk_bytes, idle_us=idle_us, wired=wired, **buffers)
 
 
 class FlightMcu:
@@ -65,7 +70,7 @@ class FlightMcu:
     vehicle_id
         Id of the vehicle file of the parameters, 6 bytes.
     uart
-        This end of the line to the radio processor; `flight_uart()` by default.
+        This end of the line to the radio processor or the host; `flight_uart()` by default.
     loop_times
         Returns the timing of the ticks since the last call, as a cycle counter measures it.
     check
@@ -108,7 +113,10 @@ class FlightMcu:
         self._blob_check = check
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
         self._battery_v = 0.0
-        self._codec = Codec(*VEHICLE)
+        self._codec = Codec(*VEHICLE, accepts_unsigned=unsigned.vehicle_accepts)
+        self._signing = SigningService(
+            codec=self._codec, store=store.signing, flight=self.flight, wired=self.uart.wired
+        )
         self._agreed_swap = AgreedSwap(self.flight, self.parameters)
         self._upload = UploadReceiver(
             store,
@@ -130,6 +138,8 @@ class FlightMcu:
                 on_upload=self._uploaded,
                 on_limits=self._limits_changed,
                 on_parameter=store.settings.change,
+                on_key_setup=self._signing.set_up,
+                is_authentic=self._signing.is_authentic,
             ),
         )
         self._out: list[bytes] = []
@@ -178,7 +188,7 @@ class FlightMcu:
     def _receive(self, now_us: int) -> None:
         """Handle the messages that have arrived; send the answers at once."""
         flight, services = self.flight, self._services
-        for message in self._codec.decode(self.uart.read(now_us)):
+        for message in self._signing.receive(self.uart.read(now_us), now_us):
             if isinstance(message, AttPosMocap):
                 flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
             else:
@@ -191,6 +201,7 @@ class FlightMcu:
         self._update_us = now_us - now_us % UPDATE_US + UPDATE_US
         flight = self.flight
         streams = self._services.streams
+        self._signing.advance(now_us)
         flight.update(now_us, self._battery_v)
         if self._agreed_swap.at_us < NEVER_US and flight.state is not State.TRACKING:
             self._call_off(now_us)
@@ -246,6 +257,7 @@ class FlightMcu:
 
     def _flush(self, now_us: int) -> None:
         """Send the queued messages that fit into the transmit buffer."""
+        self._signing.before_send()
         out, self._out = self._out, []
         data = b"".join(out)
         if len(data) <= self.uart.tx_free(now_us):

@@ -62,6 +62,7 @@ class Hooks:
     send: sends a message. status: returns FC_STATUS at a time in us. battery_v: returns the battery voltage.
     on_upload: receives each event of an upload. on_limits: called after a change of the limits that
     references are checked against. on_parameter: receives name and value of a parameter that was set.
+    on_key_setup: handles SETUP_SIGNING. is_authentic: returns whether a message keeps the link alive.
     """
 
     send: Callable[[Message], None]
@@ -70,6 +71,8 @@ class Hooks:
     on_upload: Callable[[ReceiverEvent], None]
     on_limits: Callable[[], None]
     on_parameter: Callable[[str, float], None]
+    on_key_setup: Callable[[m.SetupSigning, int], None]
+    is_authentic: Callable[[Message], bool]
 
 
 class Handlers:
@@ -91,6 +94,7 @@ class Handlers:
         self._identity = identity
         self._send = send
         self._on_upload = hooks.on_upload
+        self._is_authentic = hooks.is_authentic
         self._parameter_service = ParameterService(
             flight=flight,
             parameters=parameters,
@@ -107,6 +111,7 @@ class Handlers:
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,
+            m.SetupSigning: hooks.on_key_setup,
             m.CommandLong: commands.long,
             m.SetPositionTarget: setpoints.position,
             m.SetAttitudeTarget: setpoints.attitude,
@@ -150,7 +155,8 @@ class Handlers:
         component = getattr(message, "target_component", 0)
         if target not in (0, m.VEHICLE[0]) or component not in (0, m.VEHICLE[1]):
             return
-        self._flight.host_heard(now_us)
+        if self._is_authentic(message):
+            self._flight.host_heard(now_us)
         handler = self._handlers.get(type(message))
         if handler is not None:
             handler(message, now_us)

@@ -148,7 +148,7 @@ def test_memory_of_garbage_behind_a_right_beginning_boots_with_nothing_live_and_
     image = bytearray(random.Random(seed).randbytes(memory_bytes(1_000)))
     image[: len(MAGIC)] = MAGIC
     store = ReferenceStore(Flash(image), blob_bytes_max=1_000)
-    assert len(store.faults) == 5  # four banks and the parameters
+    assert len(store.faults) == 6  # four banks, the parameters and the signing key
     assert (store.live(REF), store.staged(REF), store.incoming()) == (None, None, None)
     store.stage(REF, b"one")
     store.commit(REF)
