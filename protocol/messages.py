@@ -10,6 +10,7 @@ from enum import IntEnum
 
 from trimtab.protocol.generated import trimtab as mavlink
 from trimtab.protocol.generated.frames import DIALECT_VERSION
+from trimtab.protocol.stream import SIGNED_FLAG
 
 Message = mavlink.MAVLink_message
 
@@ -126,6 +127,11 @@ def host_heartbeat() -> Heartbeat:
 def sender_of(message: Message) -> tuple[int, int]:
     """Return system and component of the sender of a message."""
     return message.get_srcSystem(), message.get_srcComponent()
+
+
+def is_signed(message: Message) -> bool:
+    """Return whether a received message has a signature. Whether it is correct is the codec's business."""
+    return bool(message.get_header().incompat_flags & SIGNED_FLAG)
 
 
 def is_own_host(heartbeat: Heartbeat) -> bool:

@@ -32,6 +32,8 @@ UNIT_US = 10
 """Unit of timestamps in us."""
 EPOCH_UNIX_S = 1_420_070_400
 """Time 0 of timestamps, 2015-01-01, in seconds since 1970."""
+SIMULATED_EPOCH = 38_000_000_000_000
+"""Timestamp at time 0 of simulated flights, which read no wall clock."""
 TIMESTAMP_MAX = (1 << 48) - (1 << 45)
 """Greatest timestamp that is accepted: in the year 2093, eleven years before the counter overflows."""
 NEW_STREAM_US = 60_000_000

@@ -25,7 +25,6 @@ from trimtab.protocol.signing import (
     Verdict,
     Verifier,
 )
-from trimtab.protocol.stream import SIGNED_FLAG
 from trimtab.protocol.uwb import PRIORITIES, Priority
 
 TEXT_US = 5_000_000
@@ -91,7 +90,7 @@ class SigningService:
 
     def is_authentic(self, message: Message) -> bool:
         """Return whether an accepted message is signed, or there is no key: it then keeps the link alive."""
-        return self._codec.verifier is None or bool(message.get_header().incompat_flags & SIGNED_FLAG)
+        return self._codec.verifier is None or m.is_signed(message)
 
     def set_up(self, message: m.SetupSigning, now_us: int) -> None:
         """Set or remove the key, or send a text that says why not."""

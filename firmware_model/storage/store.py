@@ -148,9 +148,9 @@ class ReferenceStore:
         if not self._not_live:
             return None
         bank, record = max(self._not_live.values(), key=lambda opened: opened[1].sequence)
-        return Incoming(record.kind, record.size, record.digest, bank.held(record))
+        return Incoming(record.kind, record.size, record.digest, record.chunk_bytes, bank.held(record))
 
-    def begin(self, kind: int, size: int, digest: bytes) -> None:
+    def begin(self, kind: int, size: int, digest: bytes, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Discard the received or staged blob of this kind and prepare for another one.
 
         Raises ValueError if the blob is empty or larger than a bank.
@@ -161,7 +161,7 @@ class ReferenceStore:
         live = self._live(kind)
         bank = next(bank for bank in self._banks[kind] if live is None or bank is not live[0])
         bank.erase(size)
-        record = Record(Step.BEGUN, kind, 0, size, digest)
+        record = Record(Step.BEGUN, kind, chunk_bytes, 0, size, digest)
         self._not_live[kind] = bank, self._append(bank, record, Step.BEGUN)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:

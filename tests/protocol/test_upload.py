@@ -45,14 +45,16 @@ class Store:
     def incoming(self) -> Incoming | None:
         return self.begun
 
-    def begin(self, kind: int, size: int, digest: bytes) -> None:
-        self.begun = Incoming(kind, size, digest, bytearray(chunk_count(size)))
+    def begin(self, kind: int, size: int, digest: bytes, chunk_bytes: int) -> None:
+        held = bytearray(chunk_count(size, chunk_bytes))
+        self.begun = Incoming(kind, size, digest, chunk_bytes, held)
         self.data = bytearray(size)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:
         assert self.begun is not None
         assert self.begun.kind == kind
-        self.data[index * CHUNK_BYTES : index * CHUNK_BYTES + len(chunk)] = chunk
+        start = index * self.begun.chunk_bytes
+        self.data[start : start + len(chunk)] = chunk
         self.begun.held[index] = 1
 
     def received(self, kind: int) -> bytes:
