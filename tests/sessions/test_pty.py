@@ -115,7 +115,8 @@ def test_pty_signed_flight_by_cable_and_a_flight_after_the_key_was_revoked(
     (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
     run_trimtab("key", "new", "lab.key")
     with served("--port", "pty", "--mocap", mocap_url, "--world", "wired") as (port, end):
-        assert run_trimtab("key", "install", "lab.key", "--port", port)[0] == 0
+        code, told, complaint = run_trimtab("key", "install", "lab.key", "--port", port, "--json")
+        assert (code, told) == (0, {"file": "lab.key", "port": port}), complaint
         for key in (("--key", "lab.key"), ()):
             words = ("--port", port, *key)
             assert run_trimtab("upload", "eight.ref", *words)[0] == 0
@@ -123,7 +124,8 @@ def test_pty_signed_flight_by_cable_and_a_flight_after_the_key_was_revoked(
             code, told, complaint = run_trimtab("fly", "eight.ref", *words)
             assert code == 0, complaint
             assert told["whole"]
-            assert run_trimtab("key", "revoke", "--port", port)[0] == 0
+            code, told, complaint = run_trimtab("key", "revoke", "--port", port, "--json")
+            assert (code, told) == (0, {"port": port}), complaint
         end()
 
 
