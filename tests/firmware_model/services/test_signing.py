@@ -1,6 +1,9 @@
 """A vehicle with a key, by its bytes: what it obeys, how the key is set up, and what a power cycle leaves."""
 
+import random
+
 import pytest
+from fastcrc.crc16 import mcrf4xx
 
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.services.signing_service import (
@@ -9,12 +12,14 @@ from trimtab.firmware_model.services.signing_service import (
     ONLY_IN_STANDBY,
     TEXTS,
 )
-from trimtab.firmware_model.storage.flash import Flash
+from trimtab.firmware_model.storage.flash import Flash, PowerCut
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
+from trimtab.protocol.generated.frames import MESSAGES
 from trimtab.protocol.messages import HOST
 from trimtab.protocol.signing import TIMESTAMP_MAX, Signer, SigningKey, Verdict, Verifier
+from trimtab.protocol.stream import message_id
 
 KEY, OTHER = SigningKey(bytes(range(32))), SigningKey(bytes(range(1, 33)))
 NOW = 38_000_000_000_000
@@ -280,3 +285,64 @@ def test_arming_needs_a_key_where_signing_is_required(make_session, required, ke
 def test_texts_fit_one_message():
     for text in (*TEXTS.values(), ONLY_BY_CABLE, ONLY_IN_STANDBY, BAD_TIME):
         assert len(text) <= 50
+
+
+def test_altered_messages_with_a_correct_checksum_change_nothing(make_line):
+    """An attacker alters recorded signed messages, corrects the checksum, and adds unsigned ones."""
+    line = make_line(store=keyed_store())
+    sign(line)
+    line.run(0.5)
+    before, now = dict(line.flight.parameters), line.flight.flight.poses.used
+    encode = line.codecs[HOST].encode
+    originals = [
+        encode(parameter("HOLD_S", 2.5)),
+        encode(m.CommandLong(1, 1, ARM, 0, 1.0, 21196.0, *[0.0] * 5)),
+        encode(m.AttPosMocap(490_000, [1.0, 0.0, 0.0, 0.0], 0.1, 0.0, -1.0)),
+        encode(m.UploadBegin(1000, 1, 1, 86, 1, list(range(32)))),
+    ]
+    rng = random.Random(20_261)
+    for _ in range(1_500):
+        altered = bytearray(rng.choice(originals))
+        for _ in range(rng.randint(1, 3)):
+            altered[rng.randrange(1, len(altered))] ^= 1 << rng.randrange(8)
+        seed = MESSAGES.get(message_id(altered))
+        end = 10 + altered[1]
+        if seed is not None and end + 2 <= len(altered):
+            crc = mcrf4xx(bytes(altered[1:end]) + bytes([seed[1]]))
+            altered[end : end + 2] = crc.to_bytes(2, "little")
+        if bytes(altered) in originals:
+            continue  # a change of the checksum alone, corrected
+        line.port.write(bytes(altered), line.now_us)
+        line.run(0.003)
+    assert line.ears.verifier.counts[Verdict.ACCEPTED] > 0
+    assert dict(line.flight.parameters) == before
+    assert line.flight.flight.poses.used == now
+    assert line.flight.state is State.STANDBY
+    assert commanded(line) == []
+    assert line.received(m.UploadStatus) == []
+    line.run(0.1)
+    line.command(LAND)
+    line.run(0.2)
+    assert [command for command, _ in commanded(line)] == [LAND]
+
+
+def test_message_is_obeyed_only_once_its_timestamp_is_in_memory(make_line):
+    line = make_line(store=keyed_store())
+    sign(line, epoch=NOW + 60_000_000)  # ten minutes ahead of what is in memory
+    line.run(0.5)
+    line.send(parameter("HOLD_S", 2.5))
+    line.store.flash.cut_after(0)
+    with pytest.raises(PowerCut):
+        line.run(0.2)
+    assert line.flight.parameters["HOLD_S"] == 1.0
+
+
+def test_timestamps_of_sent_messages_are_not_used_again_after_a_power_cycle(make_line):
+    line = make_line(store=keyed_store())
+    line.ears.verifier = Verifier(KEY, epoch=NOW)
+    line.run(0.3)
+    again = make_line(store=ReferenceStore(Flash(bytearray(line.store.flash.image))))
+    again.ears.verifier = line.ears.verifier  # it remembers the stream
+    again.run(0.3)
+    assert again.ears.verifier.counts[Verdict.ACCEPTED] > 50
+    assert again.ears.verifier.counts[Verdict.ACCEPTED] == sum(again.ears.verifier.counts.values())
