@@ -10,7 +10,7 @@ from typing import Any
 
 import pytest
 
-from trimtab.host.base.errors import LinkError
+from trimtab.host.base.errors import LinkError, TrimtabError
 from trimtab.host.link.download import download_lockstep
 from trimtab.host.link.drivers import run_lockstep
 from trimtab.host.link.key_setup import key_session
@@ -21,7 +21,8 @@ from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.log import read_flight
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
-from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
+from trimtab.protocol.codec import Codec
+from trimtab.protocol.signing import SIMULATED_EPOCH, Signer, SigningKey
 from trimtab.protocol.stream import SIGNED_FLAG, message_id, split
 from trimtab.protocol.uwb_pieces import PIECE
 
@@ -174,3 +175,56 @@ def test_command_line_refuses_a_key_that_others_can_read(
     assert code == 2
     assert "chmod 600 lab.key" in complaint
     assert len(complaint.splitlines()) == 1
+
+
+class Attacker:
+    """Sends unsigned, wrongly signed and recorded messages beside the host, every 20 ms."""
+
+    def __init__(self, simulated: Any) -> None:
+        self.sent = 0
+        self._simulated = simulated
+        self._run = simulated.run_until
+        self._next_us = 0
+        self._recorded: list[bytes] = []
+        self._plain = Codec(*m.HOST)
+        self._wrong = Codec(*m.HOST)
+        self._wrong.signer = Signer(OTHER.key, link_id=0, epoch=SIMULATED_EPOCH + 10**12)
+        simulated.watch_air(self._record)
+        simulated.run_until = self.run_until
+
+    def _record(self, now_us: int, frame: bytes) -> None:
+        self._recorded += [message for message in split(frame) if message[5] == m.HOST[0]]
+
+    def run_until(self, t_us: int) -> int:
+        now_us = self._simulated.now_us
+        if now_us >= self._next_us:
+            self._next_us = now_us + 20_000
+            self._simulated.serial_write(self._attack(now_us))
+        return self._run(t_us)
+
+    def _attack(self, now_us: int) -> bytes:
+        kill = m.CommandLong(*m.VEHICLE, 400, 0, 0.0, m.FORCE, *[0.0] * 5)
+        end = m.CommandLong(*m.VEHICLE, 185, 0, 1.0, *[0.0] * 6)
+        pose = m.AttPosMocap(now_us + 30_000, [1.0, 0.0, 0.0, 0.0], 5.0, 5.0, -5.0)
+        choice = (kill, end, pose, m.ParamSet(1, 1, b"FS_LINK_S", 0.1, 9))[self.sent % 4]
+        self.sent += 1
+        old = self._recorded[self.sent % len(self._recorded)] if self._recorded else b""
+        return self._plain.encode(choice) + self._wrong.encode(choice) + old
+
+
+def test_attacker_without_the_key_changes_nothing_in_a_signed_flight(fly: Fly, simulate: Simulate) -> None:
+    simulated = simulate(key=KEY.key)
+    attacker = Attacker(simulated)
+    result = fly(simulated, key=KEY)
+    assert attacker.sent > 500
+    assert result.end is not None
+    assert result.end.whole
+    assert result.tracking_rmse_m is not None
+    assert result.tracking_rmse_m < 0.15
+
+
+def test_attacker_without_the_key_ends_an_unsigned_flight(fly: Fly, simulate: Simulate) -> None:
+    simulated = simulate()
+    Attacker(simulated)
+    with pytest.raises(TrimtabError):
+        fly(simulated)
