@@ -305,7 +305,7 @@ def test_altered_messages_with_a_correct_checksum_change_nothing(make_line):
         altered = bytearray(rng.choice(originals))
         for _ in range(rng.randint(1, 3)):
             altered[rng.randrange(1, len(altered))] ^= 1 << rng.randrange(8)
-        seed = MESSAGES.get(message_id(altered))
+        seed = MESSAGES.get(message_id(bytes(altered)))
         end = 10 + altered[1]
         if seed is not None and end + 2 <= len(altered):
             crc = mcrf4xx(bytes(altered[1:end]) + bytes([seed[1]]))

@@ -118,6 +118,7 @@ def test_torn_replacement_leaves_the_old_or_the_new_key():
     seen = set()
     for store, used in cuts(lambda store: store.keep(TWO, 5)):
         assert (store.key, store.used) in ((ONE, used), (TWO, 5))
+        assert store.key is not None
         seen.add(store.key.secret)
         if store.key == TWO:
             assert ONE.secret not in bytes(store._flash.image)

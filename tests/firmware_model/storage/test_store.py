@@ -197,6 +197,7 @@ def test_upload_in_signed_chunks_is_resumed_with_its_chunk_size_after_a_power_cy
         store.put(REF, index, chunks[index])
     again = ReferenceStore(Flash(bytearray(flash.image)), blob_bytes_max=1_000)
     incoming = again.incoming()
+    assert incoming is not None
     assert incoming.chunk_bytes == SIGNED_CHUNK_BYTES
     assert [index for index, held in enumerate(incoming.held) if held] == [0, 2, 11]
     for index, chunk in enumerate(chunks):
