@@ -44,6 +44,7 @@ VERBS = (
         help="Forward a camera system's poses while another ground station flies.",
     ),
     Verb(name="download", module="download", help="Download a reference or feed-forward from a vehicle."),
+    Verb(name="key", module="key", help="Make a key of message signing; install or revoke it on a vehicle."),
     Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
     Verb(name="learn", module="learn", help="Learn effects and a residual network from flight logs."),
     Verb(name="trace", module="trace", help="Name the effects that a model lacks, from flight logs."),

@@ -16,7 +16,8 @@ from fastcrc.crc16 import mcrf4xx
 
 from trimtab.protocol.generated import trimtab as mavlink
 from trimtab.protocol.messages import Message
-from trimtab.protocol.stream import HEADER_BYTES, MAGIC, StreamSplitter
+from trimtab.protocol.signing import Signer, Verdict, Verifier
+from trimtab.protocol.stream import HEADER_BYTES, MAGIC, SIGNED_FLAG, StreamSplitter
 
 _CODES = {
     "char": "s",
@@ -90,13 +91,24 @@ _LAYOUTS: dict[int, _Layout] = {number: _layout(kind) for number, kind in mavlin
 class Codec:
     """One end of a link: numbers sent messages, decodes received bytes and counts lost messages.
 
+    Without `signer`, messages are sent unsigned. Without `verifier`, signatures are not checked. The owner
+    advances the clocks of both.
+
     Parameters
     ----------
     system, component
         MAVLink address of the sender, for example `messages.HOST`.
+    accepts_unsigned
+        With a verifier: returns whether an unsigned message (complete, as bytes) is accepted.
 
     Attributes
     ----------
+    signer
+        Signs the messages that are sent, or None.
+    verifier
+        Verifies the messages that arrive, or None. What it refuses is not decoded.
+    refused
+        Messages that the last call of `decode` refused, each with its verdict.
     sent, received
         Numbers of messages.
     lost
@@ -106,10 +118,20 @@ class Codec:
         Number of messages that arrived twice; both copies are decoded.
     """
 
-    def __init__(self, system: int, component: int) -> None:
+    def __init__(
+        self,
+        system: int,
+        component: int,
+        *,
+        accepts_unsigned: Callable[[bytes], bool] = lambda message: False,
+    ) -> None:
         for name, value in (("system", system), ("component", component)):
             if not 0 <= value <= 255:
                 raise ValueError(f"{name} must be 0..255, not {value}")
+        self.signer: Signer | None = None
+        self.verifier: Verifier | None = None
+        self.refused: list[tuple[Verdict, bytes]] = []
+        self._accepts_unsigned = accepts_unsigned
         self.sent = 0
         self.received = 0
         self.lost = 0
@@ -137,12 +159,15 @@ class Codec:
             payload = packing.payload(message).rstrip(b"\0") or b"\0"
         except (struct.error, TypeError, OverflowError, IndexError) as error:
             raise ValueError(f"{message.get_type()}: {error}") from error
-        head = _HEADER.pack(len(payload), 0, 0, self._sequence, *self._address, *packing.message_id)
+        signer = self.signer
+        flags = 0 if signer is None else SIGNED_FLAG
+        head = _HEADER.pack(len(payload), flags, 0, self._sequence, *self._address, *packing.message_id)
         body = head + payload
         crc = mcrf4xx(body + packing.seed)
         self._sequence = (self._sequence + 1) & 0xFF
         self.sent += 1
-        return _MAGIC + body + crc.to_bytes(2, "little")
+        data = _MAGIC + body + crc.to_bytes(2, "little")
+        return data if signer is None else data + signer.sign(data)
 
     def decode(self, data: bytes) -> list[Message]:
         """Return the messages that `data` completes, oldest first. Never raises, whatever the bytes are.
@@ -150,6 +175,8 @@ class Codec:
         A float field may hold any float32, including NaN.
         """
         frames = self._splitter.feed(data)
+        if self.verifier is not None:
+            frames = self._verified(frames, self.verifier)
         if not frames:
             return []
         messages = [decode_message(frame) for frame in frames]
@@ -162,6 +189,19 @@ class Codec:
             else:
                 self._count_gap(source, last, sequence)
         return messages
+
+    def _verified(self, frames: list[bytes], verifier: Verifier) -> list[bytes]:
+        """Return the accepted messages. The signer's clock follows those of the other end."""
+        accepted, self.refused = [], []
+        for frame in frames:
+            verdict = verifier.check(frame)
+            if verdict is Verdict.ACCEPTED or (verdict is Verdict.UNSIGNED and self._accepts_unsigned(frame)):
+                accepted.append(frame)
+            else:
+                self.refused.append((verdict, frame))
+        if self.signer is not None:
+            self.signer.follow(verifier.newest)
+        return accepted
 
     def _count_gap(self, source: int, last: int, sequence: int) -> None:
         """Update the counters after an unexpected sequence number: a gap, a late or a repeated message."""

@@ -10,6 +10,7 @@ from enum import IntEnum
 
 from trimtab.protocol.generated import trimtab as mavlink
 from trimtab.protocol.generated.frames import DIALECT_VERSION
+from trimtab.protocol.stream import SIGNED_FLAG
 
 Message = mavlink.MAVLink_message
 
@@ -51,6 +52,7 @@ CommandAck = mavlink.MAVLink_command_ack_message
 Timesync = mavlink.MAVLink_timesync_message
 AttPosMocap = mavlink.MAVLink_att_pos_mocap_message
 AutopilotVersion = mavlink.MAVLink_autopilot_version_message
+SetupSigning = mavlink.MAVLink_setup_signing_message
 StatusText = mavlink.MAVLink_statustext_message
 FcControl = mavlink.MAVLink_fc_control_message
 FcEstimate = mavlink.MAVLink_fc_estimate_message
@@ -158,6 +160,11 @@ def host_heartbeat() -> Heartbeat:
 def sender_of(message: Message) -> tuple[int, int]:
     """Return system and component of the sender of a message."""
     return message.get_srcSystem(), message.get_srcComponent()
+
+
+def is_signed(message: Message) -> bool:
+    """Return whether a received message has a signature. Whether it is correct is the codec's business."""
+    return bool(message.get_header().incompat_flags & SIGNED_FLAG)
 
 
 def is_own_host(heartbeat: Heartbeat) -> bool:

@@ -182,6 +182,7 @@ PARAMETERS: tuple[Parameter, ...] = (
         "what a station other than the owner may do in flight: 0 nothing, 1 land, 2 land and terminate",
         integer=True,
     ),
+    _row("SIGN_REQUIRED", 0, "", 0, 1, "1: arming needs a key of message signing", integer=True),
     # Rejection of poses in flight.
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),

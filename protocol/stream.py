@@ -13,7 +13,8 @@ SIGNATURE_BYTES = 13
 MESSAGE_BYTES_MAX = OVERHEAD_BYTES + 255 + SIGNATURE_BYTES
 """Longest message. A splitter buffers fewer bytes than this between two calls."""
 
-_SIGNED = 0x01
+SIGNED_FLAG = 0x01
+"""Incompatibility flag of a message with a signature."""
 _PRIVATE = 52100
 _MAGIC = bytes([MAGIC])
 # id: (checksum seed, longest payload). Standard messages may have extensions that this dialect lacks.
@@ -71,7 +72,7 @@ class StreamSplitter:
                 break
             length, flags = data[at + 1], data[at + 2]
             known = _KNOWN.get(data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16)
-            if known is None or length > known[1] or flags > _SIGNED:
+            if known is None or length > known[1] or flags > SIGNED_FLAG:
                 self.bad_bytes += 1
                 at += 1
                 continue

@@ -292,10 +292,11 @@ def remedy(error: OSError) -> str:
 def host_port(text: str, spec: str, lowest: int = 0) -> tuple[str, int]:
     """Return host and port number, where 0 stands for any free port. Raises ServeError."""
     host, colon, number = text.rpartition(":")
+    host = host.strip("[]")  # an empty host would stand for every address of the machine
     whole = number.isascii() and number.isdigit()
     if not colon or not host or not whole or not lowest <= int(number) <= 65535:
         raise ServeError(f"{spec}: needs HOST:PORT with a port number of {lowest} to 65535")
-    return host.strip("[]"), int(number)
+    return host, int(number)
 
 
 def address_family(host: str) -> socket.AddressFamily:

@@ -23,6 +23,7 @@ from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import draw_world
 from trimtab.sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
@@ -74,6 +75,7 @@ class SimulatedVehicle:
         start_yaw: float = 0.0,
         radio: Mapping[str, Any] | None = None,
         memory: Path | None = None,
+        key: SigningKey | None = None,
     ) -> Self:
         """Return a vehicle in a world, powered up for a flight.
 
@@ -95,6 +97,8 @@ class SimulatedVehicle:
             Settings that override the world's, by the keys of its `[radio]` table.
         memory
             File of the non-volatile memory. Without it, the memory lasts as long as the object.
+        key
+            Key of message signing, installed before the first power-up.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
@@ -115,6 +119,8 @@ class SimulatedVehicle:
             start=Place(start_ned, start_yaw),
         )
         store = ReferenceStore() if memory is None else open_memory(memory, vehicle)
+        if key is not None:
+            store.signing.keep(key, SIMULATED_EPOCH - 1)
         try:
             return cls(setting, flight, store)
         except BaseException:
@@ -251,7 +257,7 @@ class SimulatedVehicle:
             store=self.store,
             uid=session_uid(seed, flight),
             vehicle_id=setting.vehicle.id_bytes,
-            uart=flight_uart(**serial),
+            uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
         )
         self._command: Any = self._flight_mcu.motor_command

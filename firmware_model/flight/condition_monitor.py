@@ -79,12 +79,14 @@ class ConditionMonitor:
     """Evaluates which conditions of the failsafe table have lasted for their times, by timestamps.
 
     `pose_us`, `host_us`, `setpoint_us`: times of the last pose used, ground station message and setpoint.
+    `has_key`: whether the vehicle holds a key of message signing.
     """
 
     def __init__(self, parameters: ParameterValues) -> None:
         self.pose_us = 0
         self.host_us = 0
         self.setpoint_us = NEVER_US  # while no setpoints are followed
+        self.has_key = False
         self.volts: float | None = None  # smoothed
         self.thrust_ratio = 1.0  # actual over nominal thrust, estimated in flight
         # Times of the last update at which:

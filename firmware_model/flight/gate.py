@@ -94,6 +94,7 @@ class CommandGate:
             active=frozenset(row.event for row in self._monitor.active_conditions()),
             battery=self._battery(reference),
             contradiction=contradiction(values),
+            lacks_key=values["SIGN_REQUIRED"] > 0.0 and not self._monitor.has_key,
         )
         return arming_refusals(state)
 

@@ -147,6 +147,8 @@ class ArmingState(NamedTuple):
         Why the live reference may not be flown with this battery, or None.
     contradiction
         First inconsistency of the parameters, or None.
+    lacks_key
+        Whether SIGN_REQUIRED is set and the vehicle holds no signing key.
     """
 
     calibrated: bool
@@ -161,6 +163,7 @@ class ArmingState(NamedTuple):
     active: frozenset[Event]
     battery: str | None
     contradiction: str | None
+    lacks_key: bool
 
 
 class Check(NamedTuple):
@@ -194,6 +197,7 @@ CHECKS: tuple[Check, ...] = (
     Check("loop", _is_active(Event.LOOP_OVERRUN), "ticks too late"),
     Check("link", _is_active(Event.LINK_LOST), "no host heard"),
     Check("parameters", lambda state: state.contradiction is not None, "{contradiction}"),
+    Check("signing", lambda state: state.lacks_key, "no signing key: install one"),
 )
 """Arming checks in the order of their messages."""
 

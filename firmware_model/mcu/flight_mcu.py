@@ -11,21 +11,21 @@ from trimtab.firmware_model.flight.flight import UPDATE_TICKS, Flight
 from trimtab.firmware_model.flight.parameters import stored_parameters
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.flight.verdict import check_blob
+from trimtab.firmware_model.mcu.outbox import Outbox
 from trimtab.firmware_model.mcu.swapping import AgreedSwap
 from trimtab.firmware_model.mcu.uart import UartPort
 from trimtab.firmware_model.services import telemetry
 from trimtab.firmware_model.services.handlers import Handlers, Hooks, Identity
+from trimtab.firmware_model.services.signing_service import SigningService
 from trimtab.firmware_model.services.telemetry import LoopTimes
 from trimtab.firmware_model.storage.store import ReferenceStore
+from trimtab.protocol import unsigned
 from trimtab.protocol.blobs import FeedForward, Kind, Reference, from_bytes
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import (
     DIALECT_VERSION,
     NO_TICK,
-    PRIVATE_ID_MIN,
     VEHICLE,
-    VEHICLE_FAST,
-    VEHICLE_PRIVATE,
     AttPosMocap,
     FcStatus,
     Message,
@@ -34,7 +34,6 @@ from trimtab.protocol.messages import (
 )
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload import ReceiverEvent, UploadEvent, UploadReceiver, Verdict
-from trimtab.protocol.uwb import PRIORITIES, Priority
 
 BAUD = 921_600
 RX_BYTES = 2_048
@@ -50,9 +49,12 @@ CATCH_UP_TICKS = 20
 """Greatest number of missed ticks that one tick runs in addition."""
 
 
-def flight_uart(*, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0) -> UartPort:
-    """Return the flight processor's end of the line to the radio processor; see `UartPort`."""
-    return UartPort(baud=baud, rx_bytes=RX_BYTES, tx_bytes=TX_BYTES, chunk_bytes=chunk_bytes, idle_us=idle_us)
+def flight_uart(
+    *, baud: int = BAUD, chunk_bytes: int | None = None, idle_us: int = 0, wired: bool = False
+) -> UartPort:
+    """Return the flight processor's end of the line to the radio processor or the host; see `UartPort`."""
+    buffers = {"rx_bytes": RX_BYTES, "tx_bytes": TX_BYTES}
+    return UartPort(baud=baud, chunk_bytes=chunk_bytes, idle_us=idle_us, wired=wired, **buffers)
 
 
 class FlightMcu:
@@ -72,7 +74,7 @@ class FlightMcu:
     vehicle_id
         Id of the vehicle file of the parameters, 6 bytes.
     uart
-        This end of the line to the radio processor; `flight_uart()` by default.
+        This end of the line to the radio processor or the host; `flight_uart()` by default.
     loop_times
         Returns the timing of the ticks since the last call, as a cycle counter measures it.
     check
@@ -86,10 +88,8 @@ class FlightMcu:
         Time at which a station has asked the processor to reboot; NEVER_US before.
     late_ticks
         Number of ticks that started later than one tick after the previous one.
-    unsendable
-        Number of messages with a value that its field cannot represent.
-    unsent
-        Number of messages that did not fit into the transmit buffer.
+    outbox
+        Messages that wait for the line, and counts of those that were not sent.
 
     Raises ValueError for parameters that are out of bounds or inconsistent.
     """
@@ -112,14 +112,19 @@ class FlightMcu:
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
         self.motor_command = self.flight.outputs["motor_command"]
-        self.unsendable = 0
-        self.unsent = 0
         self._store = store
         self._blob_check = check
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
         self._battery_v = 0.0
-        self._codec = Codec(*VEHICLE)
-        self._fast_encoder, self._private_encoder = Codec(*VEHICLE_FAST), Codec(*VEHICLE_PRIVATE)
+        self._codec = Codec(*VEHICLE, accepts_unsigned=unsigned.vehicle_accepts)
+        self.outbox = Outbox(self._codec, self.uart)
+        self._signing = SigningService(
+            codec=self._codec,
+            sign_with=self.outbox.sign_with,
+            store=store.signing,
+            flight=self.flight,
+            wired=self.uart.wired,
+        )
         self._agreed_swap = AgreedSwap(self.flight, self.parameters)
         self._upload = UploadReceiver(
             store,
@@ -135,16 +140,17 @@ class FlightMcu:
             store=store,
             identity=self._identity,
             hooks=Hooks(
-                send=self._queue,
+                send=self.outbox.queue,
                 status=self._status,
                 battery_v=lambda: self._battery_v,
                 on_upload=self._uploaded,
                 on_limits=self._limits_changed,
                 on_parameter=store.settings.change,
                 on_reboot=self._plan_reboot,
+                on_key_setup=self._signing.set_up,
+                is_authentic=self._signing.is_authentic,
             ),
         )
-        self._out: list[bytes] = []
         self._last_us = -TICK_US
         self._update_us = 0
         self._status_us = 0
@@ -190,20 +196,20 @@ class FlightMcu:
     def _receive(self, now_us: int) -> None:
         """Handle the messages that have arrived; send the answers at once."""
         flight, services = self.flight, self._services
-        for message in self._codec.decode(self.uart.read(now_us)):
+        for message in self._signing.receive(self.uart.read(now_us), now_us):
             if isinstance(message, AttPosMocap):
                 if services.ownership.admit_pose(sender_of(message), now_us):
                     flight.pose(message.time_usec, (message.x, message.y, message.z), message.q, now_us)
             else:
                 services.receive(message, now_us)
-        if self._out:
-            self._flush(now_us)
+        self.outbox.flush(now_us, self._signing.before_send)
 
     def _update(self, now_us: int) -> None:
         """Run checks, services and telemetry, every UPDATE_TICKS."""
         self._update_us = now_us - now_us % UPDATE_US + UPDATE_US
         flight = self.flight
         streams = self._services.streams
+        self._signing.advance(now_us)
         flight.update(now_us, self._battery_v)
         if not self._disarmed():
             self.reboot_us = NEVER_US  # armed since the reboot was accepted
@@ -219,23 +225,23 @@ class FlightMcu:
             self._status_us = now_us - now_us % telemetry.STATUS_US + telemetry.STATUS_US
             if flight.changed or streams.periodic_due(FcStatus.id, now_us):
                 flight.changed = False
-                self._queue(self._status(now_us))
+                self.outbox.queue(self._status(now_us))
         if now_us >= self._heartbeat_us:
             self._heartbeat_us = now_us - now_us % telemetry.HEARTBEAT_US + telemetry.HEARTBEAT_US
-            self._queue(telemetry.heartbeat(flight))
+            self.outbox.queue(telemetry.heartbeat(flight))
         self._services.update(now_us)
         if now_us >= self._foreign_us:
             self._notice_foreign(now_us)
-        self._flush(now_us)
+        self.outbox.flush(now_us, self._signing.before_send)
 
     def _send_100_hz(self, now_us: int) -> None:
         streams = self._services.streams
         try:
             for message in telemetry.messages_100_hz(self.flight, now_us):
                 if not streams.slowed or streams.periodic_due(message.id, now_us):
-                    self._queue(message)
+                    self.outbox.queue(message)
         except (ValueError, OverflowError):
-            self.unsendable += 1
+            self.outbox.unsendable += 1
 
     def _notice_foreign(self, now_us: int) -> None:
         """Report messages of another dialect version: their checksums are wrong."""
@@ -252,27 +258,6 @@ class FlightMcu:
         first_us = max(self._last_us + TICK_US, now_us - CATCH_UP_TICKS * TICK_US)
         for missed_us in range(first_us, now_us, TICK_US):
             self.flight.tick(missed_us, gyro, specific_force)
-
-    def _queue(self, message: Message) -> None:
-        if PRIORITIES[message.id] is Priority.FAST_TELEMETRY:
-            encoder = self._fast_encoder
-        else:
-            encoder = self._private_encoder if message.id >= PRIVATE_ID_MIN else self._codec
-        try:
-            self._out.append(encoder.encode(message))
-        except ValueError:
-            self.unsendable += 1
-
-    def _flush(self, now_us: int) -> None:
-        """Send the queued messages that fit into the transmit buffer."""
-        out, self._out = self._out, []
-        data = b"".join(out)
-        if len(data) <= self.uart.tx_free(now_us):
-            self.uart.write(data, now_us)
-            return
-        for message in out:
-            if not self.uart.write(message, now_us):
-                self.unsent += 1
 
     def _status(self, now_us: int) -> Message:
         upload = self._upload

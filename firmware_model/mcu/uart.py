@@ -38,10 +38,19 @@ class UartPort:
         Number of bytes that raises the interrupt; half the receive buffer by default.
     idle_us
         Time without a byte after which the line counts as idle.
+    wired
+        Whether the line is a cable to the host, which needs physical access, rather than a line to a radio.
     """
 
     def __init__(
-        self, *, baud: int, rx_bytes: int, tx_bytes: int, chunk_bytes: int | None = None, idle_us: int = 0
+        self,
+        *,
+        baud: int,
+        rx_bytes: int,
+        tx_bytes: int,
+        chunk_bytes: int | None = None,
+        idle_us: int = 0,
+        wired: bool = False,
     ) -> None:
         for name, value in (("baud", baud), ("rx_bytes", rx_bytes), ("tx_bytes", tx_bytes)):
             if value <= 0:
@@ -49,6 +58,7 @@ class UartPort:
         self.baud = baud
         self.rx_bytes = rx_bytes
         self.tx_bytes = tx_bytes
+        self.wired = wired
         self.due_us = NEVER_US
         self.overruns = 0
         self.refused = 0

@@ -69,6 +69,8 @@ class Hooks:
     on_upload: receives each event of an upload. on_limits: called after a change of the limits that
     references are checked against. on_parameter: receives name and value of a parameter that was set.
     on_reboot: receives the time at which a reboot was accepted.
+    on_key_setup: handles SETUP_SIGNING. is_authentic: returns whether a message is signed, or there is no
+    key.
     """
 
     send: Callable[[Message], None]
@@ -78,6 +80,8 @@ class Hooks:
     on_limits: Callable[[], None]
     on_parameter: Callable[[str, float], None]
     on_reboot: Callable[[int], None]
+    on_key_setup: Callable[[m.SetupSigning, int], None]
+    is_authentic: Callable[[Message], bool]
 
 
 class Handlers:
@@ -105,6 +109,7 @@ class Handlers:
         self._on_upload = hooks.on_upload
         self._intake = Intake()
         self.ownership = Ownership(flight=flight, text=self.text)
+        self._is_authentic = hooks.is_authentic
         self._parameter_service = ParameterService(
             flight=flight,
             ownership=self.ownership,
@@ -124,6 +129,7 @@ class Handlers:
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.Timesync: self._timesync,
             m.Ping: self._ping,
+            m.SetupSigning: hooks.on_key_setup,
             m.CommandLong: commands.long,
             m.SetPositionTarget: self._from_owner(setpoints.position),
             m.SetAttitudeTarget: self._from_owner(setpoints.attitude),
@@ -174,8 +180,11 @@ class Handlers:
         if target not in (0, m.VEHICLE[0]) or component not in (0, m.VEHICLE[1]):
             return
         station = m.sender_of(message)
-        self.ownership.hear(station, now_us)
-        if not self._intake.admit(message, now_us, other=not self.ownership.takes_part(station)):
+        authentic = self._is_authentic(message)
+        if authentic:
+            self.ownership.hear(station, now_us)
+        other = not authentic or not self.ownership.takes_part(station)
+        if not self._intake.admit(message, now_us, other=other):
             return
         handler = self._handlers.get(type(message))
         if handler is not None:

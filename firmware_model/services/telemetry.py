@@ -1,6 +1,6 @@
 """Periodic telemetry: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10 Hz, HEARTBEAT at 1 Hz.
 
-FC_OBSERVER follows at 100 Hz if OBS_GAIN > 0.
+FC_OBSERVER follows at 100 Hz if OBS_GAIN > 0, at 50 Hz while messages are signed.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ import math
 from collections.abc import Iterator
 from typing import NamedTuple
 
-from trimtab.firmware_model.flight.flight import Flight
+from trimtab.firmware_model.flight.flight import UPDATE_TICKS, Flight
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.law import step as law
 from trimtab.protocol.messages import NO_TICK, FcStatus, Heartbeat, Message, vehicle_heartbeat
@@ -57,7 +57,10 @@ def messages_100_hz(flight: Flight, now_us: int) -> Iterator[Message]:
     FC_OBSERVER follows FC_ESTIMATE, because both fit into one radio frame. It precedes FC_CONTROL, so a host
     has both when FC_CONTROL arrives. Raises ValueError or OverflowError if a value is not finite.
     """
-    if flight.parameters["OBS_GAIN"] > 0.0:
+    # A signed FC_OBSERVER does not fit beside FC_ESTIMATE; it gets a frame of its own, half as often.
+    ticks = 2 * UPDATE_TICKS if flight.monitor.has_key else UPDATE_TICKS
+    is_due = now_us // TICK_US % ticks < UPDATE_TICKS
+    if flight.parameters["OBS_GAIN"] > 0.0 and is_due:
         yield estimate(flight, now_us)
         yield observer(flight, now_us)
         yield control(flight, now_us)

@@ -15,12 +15,13 @@ from enum import IntEnum
 from typing import NamedTuple
 
 from trimtab.firmware_model.storage.flash import ERASED, SECTOR_BYTES, Flash
-from trimtab.protocol.upload.transfer import CHUNK_BYTES, chunk_count
+from trimtab.protocol.upload.transfer import CHUNK_SIZES, chunk_count
 
 SLOT_BYTES = 64
 SLOTS = SECTOR_BYTES // SLOT_BYTES
-_RECORD = struct.Struct("<BB2xII32s")
+_RECORD = struct.Struct("<BBBxII32s")
 _CRC = struct.Struct("<I")
+_CHUNK_BYTES_MIN = min(CHUNK_SIZES)
 _NO_MARK = ERASED * _CRC.size
 
 
@@ -33,10 +34,14 @@ class Step(IntEnum):
 
 
 class Record(NamedTuple):
-    """A record of the log. `sequence` increases over all banks of a memory; the digest is a SHA-256."""
+    """A record of the log. `sequence` increases over all banks of a memory; the digest is a SHA-256.
+
+    chunk_bytes: size of the chunks in which the blob is received.
+    """
 
     step: Step
     kind: int
+    chunk_bytes: int
     sequence: int
     size: int
     digest: bytes
@@ -51,12 +56,12 @@ class Bank:
         self._blob_bytes = blob_bytes
         self._log = start
         self._marks = start + SECTOR_BYTES
-        self._data = self._marks + _sectors(_CRC.size * chunk_count(blob_bytes))
+        self._data = self._marks + _marks_bytes(blob_bytes)
 
     @staticmethod
     def bytes_of(blob_bytes: int) -> int:
         """Return the size in memory of a bank for blobs of up to `blob_bytes`."""
-        return SECTOR_BYTES + _sectors(_CRC.size * chunk_count(blob_bytes)) + _sectors(blob_bytes)
+        return SECTOR_BYTES + _marks_bytes(blob_bytes) + _sectors(blob_bytes)
 
     # The log.
 
@@ -68,9 +73,10 @@ class Bank:
             body = raw[: _RECORD.size]
             if _CRC.pack(zlib.crc32(body)) != raw[_RECORD.size :]:
                 continue
-            step, kind, sequence, size, digest = _RECORD.unpack(body)
-            if step in tuple(Step) and kind == self.kind and 0 < size <= self._blob_bytes:
-                records.append(Record(Step(step), kind, sequence, size, digest))
+            step, kind, chunk_bytes, sequence, size, digest = _RECORD.unpack(body)
+            known = step in tuple(Step) and kind == self.kind and chunk_bytes in CHUNK_SIZES
+            if known and 0 < size <= self._blob_bytes:
+                records.append(Record(Step(step), kind, chunk_bytes, sequence, size, digest))
         return records
 
     def last(self) -> Record | None:
@@ -110,21 +116,21 @@ class Bank:
     def erase(self, size: int) -> None:
         """Erase the memory for a blob of `size` bytes, the log first."""
         self.forget()
-        self._flash.erase(self._marks, _CRC.size * chunk_count(size))
+        self._flash.erase(self._marks, _marks_bytes(size))
         self._flash.erase(self._data, size)
 
     def put(self, blob: Record, index: int, chunk: bytes) -> None:
         """Store a chunk, then mark it."""
-        self._flash.program(self._data + index * CHUNK_BYTES, chunk)
+        self._flash.program(self._data + index * blob.chunk_bytes, chunk)
         self._flash.program(self._marks + index * _CRC.size, _mark(blob, chunk))
 
     def held(self, blob: Record) -> bytearray:
         """Return one byte for each chunk of the blob: 1 if it is stored and matches its mark."""
-        held = bytearray(chunk_count(blob.size))
-        data = self.data(blob)
+        held = bytearray(chunk_count(blob.size, blob.chunk_bytes))
+        data, step = self.data(blob), blob.chunk_bytes
         for index in range(len(held)):
             mark = self._flash.read(self._marks + index * _CRC.size, _CRC.size)
-            chunk = data[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES]
+            chunk = data[index * step : (index + 1) * step]
             held[index] = mark != _NO_MARK and mark == _mark(blob, chunk)
         return held
 
@@ -141,6 +147,11 @@ class Bank:
 def _mark(blob: Record, chunk: bytes) -> bytes:
     """Return the checksum of a chunk, which depends on the blob's digest."""
     return _CRC.pack(zlib.crc32(chunk, zlib.crc32(blob.digest)))
+
+
+def _marks_bytes(size: int) -> int:
+    """Return the size of the sectors for the marks of a blob of `size` bytes in chunks of any size."""
+    return _sectors(_CRC.size * chunk_count(size, _CHUNK_BYTES_MIN))
 
 
 def _sectors(size: int) -> int:

@@ -1,4 +1,4 @@
-"""Non-volatile store of the flight MCU: blobs, an upload in progress, and parameters changed by the user.
+"""Non-volatile store of the flight MCU: blobs, an upload in progress, changed parameters, and signing key.
 
 There are two banks for each kind of blob, and one of them is live. A blob is received, checked and staged in
 the other bank. A single record then makes it live, and this write is atomic. Data with a wrong checksum is
@@ -13,21 +13,24 @@ import hashlib
 from trimtab.firmware_model.storage.bank import Bank, Record, Step
 from trimtab.firmware_model.storage.flash import SECTOR_BYTES, Flash
 from trimtab.firmware_model.storage.settings import SETTINGS_BYTES, Settings
+from trimtab.firmware_model.storage.signing_store import SIGNING_BYTES, SigningStore
 from trimtab.protocol.blobs import BLOB_BYTES_MAX, Kind
 from trimtab.protocol.upload import CHUNK_BYTES, Incoming
 
-MAGIC = b"trimtab memory 1"
+MAGIC = b"trimtab memory 2"
 """First bytes of a memory; the number identifies its layout."""
+_SIGNING_AT = SECTOR_BYTES + SETTINGS_BYTES
+_BANKS_AT = _SIGNING_AT + SIGNING_BYTES
 _SLOTS_SPARE = 2  # log records still needed: STAGED and LIVE
 
 
 def memory_bytes(blob_bytes_max: int = BLOB_BYTES_MAX) -> int:
     """Return the size of the flash for a store of blobs up to this length."""
-    return SECTOR_BYTES + SETTINGS_BYTES + 2 * len(Kind) * Bank.bytes_of(blob_bytes_max)
+    return _BANKS_AT + 2 * len(Kind) * Bank.bytes_of(blob_bytes_max)
 
 
 class ReferenceStore:
-    """References, feed-forwards, uploads in progress, and parameters changed by the user.
+    """References, feed-forwards, uploads in progress, parameters changed by the user, and signing key.
 
     Each kind of blob (`blobs.Kind`) may have a live blob and one that is received or staged.
 
@@ -47,6 +50,8 @@ class ReferenceStore:
         Texts that report damaged data.
     settings
         Parameters changed by the user.
+    signing
+        Key of message signing.
     """
 
     def __init__(self, flash: Flash | None = None, *, blob_bytes_max: int = BLOB_BYTES_MAX) -> None:
@@ -63,8 +68,11 @@ class ReferenceStore:
         self.settings = Settings(flash, SECTOR_BYTES)
         if self.settings.damaged:
             self.faults.append("memory: parameters changed by the user are lost")
+        self.signing = SigningStore(flash, _SIGNING_AT)
+        if self.signing.damaged:
+            self.faults.append("memory: the signing key is lost")
         self._banks: dict[int, tuple[Bank, Bank]] = {}
-        start = SECTOR_BYTES + SETTINGS_BYTES
+        start = _BANKS_AT
         for kind in Kind:
             first = Bank(flash, start, kind, blob_bytes_max)
             second = Bank(flash, start + Bank.bytes_of(blob_bytes_max), kind, blob_bytes_max)
@@ -140,9 +148,9 @@ class ReferenceStore:
         if not self._not_live:
             return None
         bank, record = max(self._not_live.values(), key=lambda opened: opened[1].sequence)
-        return Incoming(record.kind, record.size, record.digest, bank.held(record))
+        return Incoming(record.kind, record.size, record.digest, record.chunk_bytes, bank.held(record))
 
-    def begin(self, kind: int, size: int, digest: bytes) -> None:
+    def begin(self, kind: int, size: int, digest: bytes, chunk_bytes: int = CHUNK_BYTES) -> None:
         """Discard the received or staged blob of this kind and prepare for another one.
 
         Raises ValueError if the blob is empty or larger than a bank.
@@ -153,7 +161,7 @@ class ReferenceStore:
         live = self._live(kind)
         bank = next(bank for bank in self._banks[kind] if live is None or bank is not live[0])
         bank.erase(size)
-        record = Record(Step.BEGUN, kind, 0, size, digest)
+        record = Record(Step.BEGUN, kind, chunk_bytes, 0, size, digest)
         self._not_live[kind] = bank, self._append(bank, record, Step.BEGUN)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:

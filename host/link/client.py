@@ -12,10 +12,14 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 from trimtab.host.link.clock import ClockSync
+from trimtab.host.link.keys import StationKey
 from trimtab.protocol import messages as m
+from trimtab.protocol import unsigned
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message
 from trimtab.protocol.parameter_wire import decode
+from trimtab.protocol.signing import SIMULATED_EPOCH, Signer, Verdict, Verifier
+from trimtab.protocol.upload import CHUNK_BYTES, SIGNED_CHUNK_BYTES
 
 _MASK32, _MASK16 = 0xFFFF_FFFF, 0xFFFF
 HEARTBEAT_US = 1_000_000
@@ -74,8 +78,16 @@ class RadioCounts(NamedTuple):
 class Client:
     """The link of one host to one vehicle.
 
+    Parameters
+    ----------
+    key
+        With a key, all messages are signed, and only signed messages of the vehicle are received. The radios
+        have no key; their counters are received unsigned.
+
     Attributes
     ----------
+    key
+        The key, or None.
     codec
         Encodes and decodes messages; counts those sent, received, lost and repeated.
     clock
@@ -96,12 +108,15 @@ class Client:
         Host time of the last message from the vehicle; None before the first.
     parameters
         Values that the vehicle has reported last, by name.
+    unsigned
+        Whether an unsigned message of the vehicle was refused.
     others
         MAVLink system ids received that belong neither to the vehicle nor to its radios.
     """
 
-    def __init__(self) -> None:
-        self.codec = Codec(*m.HOST)
+    def __init__(self, key: StationKey | None = None) -> None:
+        self.codec = Codec(*m.HOST, accepts_unsigned=unsigned.host_accepts)
+        self.key = key
         self.clock = ClockSync()
         self.heartbeat: m.Heartbeat | None = None
         self.status: m.FcStatus | None = None
@@ -113,6 +128,7 @@ class Client:
         self.text_count = 0
         self.heard_us: int | None = None
         self.parameters: dict[str, float] = {}
+        self.unsigned = False
         self.others: set[int] = set()
         self.next_deadline_us = 0
         self._ground: m.RadioStats | None = None
@@ -128,6 +144,24 @@ class Client:
             m.RadioStats: self._on_radio,
             m.Ping: self._on_ping,
         }
+        self.set_epoch(SIMULATED_EPOCH)
+
+    @property
+    def chunk_bytes(self) -> int:
+        """Bytes of a blob in one UPLOAD_CHUNK, so that the message fits one radio frame."""
+        return CHUNK_BYTES if self.key is None else SIGNED_CHUNK_BYTES
+
+    def set_epoch(self, epoch: int) -> None:
+        """Set the timestamp of signatures at time 0. Call this before the first message."""
+        if self.key is not None:
+            self.codec.signer = Signer(self.key.key, link_id=0, epoch=epoch)
+            self.codec.verifier = Verifier(self.key.key, epoch=epoch)
+
+    def set_time(self, now_us: int) -> None:
+        """Set the time by which the following messages are signed and verified."""
+        if self.codec.signer is not None and self.codec.verifier is not None:
+            self.codec.signer.advance(now_us)
+            self.codec.verifier.advance(now_us)
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
         """Return the messages of the vehicle and both radios that `data` completes.
@@ -137,7 +171,10 @@ class Client:
         self.bytes_received += len(data)
         messages = []
         handlers = self._handlers
-        for message in self.codec.decode(data):
+        decoded = self.codec.decode(data)
+        for verdict, frame in self.codec.refused:
+            self.unsigned |= verdict is Verdict.UNSIGNED and frame[5] == _VEHICLE_SYSTEM
+        for message in decoded:
             if message._header.srcSystem == _VEHICLE_SYSTEM:
                 self.heard_us = now_us
             elif not isinstance(message, m.RadioStats):

@@ -11,6 +11,7 @@ from trimtab.host.base.artefacts import content_id
 from trimtab.host.base.errors import LinkError, UsageError
 from trimtab.host.link.client import Client
 from trimtab.host.link.drivers import run_lockstep, run_port
+from trimtab.host.link.keys import StationKey
 from trimtab.host.link.ports import open_port
 from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import PATIENCE_US, FindVehicle, FreshStatus, Task
@@ -19,11 +20,14 @@ from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.ftp import Error, Opcode, Packet
 from trimtab.protocol.messages import Message
-from trimtab.protocol.stream import OVERHEAD_BYTES
+from trimtab.protocol.stream import OVERHEAD_BYTES, SIGNATURE_BYTES
 from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 PIECE_BYTES = FRAME_BYTES - OVERHEAD_BYTES - 3 - 12
-"""File bytes in one answer: a radio frame less message overhead, target (3 bytes), FTP header (12 bytes)."""
+"""File bytes in one answer: a radio frame less message overhead, target (3 bytes), FTP header (12 bytes).
+
+Signed answers hold SIGNATURE_BYTES fewer.
+"""
 WINDOW = 8
 """Greatest number of pieces requested and not yet received."""
 RETRY_US = 250_000
@@ -84,9 +88,11 @@ class ReadFile(Task):
         self._pieces: dict[int, bytes] = {}
         self._asked_us: dict[int, int] = {}
         self._heard_us = 0
+        self._piece_bytes = PIECE_BYTES
 
     def begin(self, client: Client, now_us: int) -> None:
         self._heard_us = now_us
+        self._piece_bytes = PIECE_BYTES - (0 if client.key is None else SIGNATURE_BYTES)
         # Avoid the numbers of an earlier run: the vehicle may still hold answers to them.
         self._number = now_us // 1000 & 0xFFFF
         self._session = SESSIONS[now_us // 1000 % len(SESSIONS)]
@@ -109,7 +115,7 @@ class ReadFile(Task):
 
     def advance(self, client: Client, now_us: int) -> None:
         if now_us - self._heard_us >= PATIENCE_US:
-            received = len(self._pieces) * PIECE_BYTES
+            received = len(self._pieces) * self._piece_bytes
             raise LinkError(
                 f"{self._path}: the download stopped after {received} bytes; check the link and try again"
             )
@@ -119,13 +125,13 @@ class ReadFile(Task):
             self.deadline_us = now_us + RETRY_US
             return
         room = WINDOW
-        for offset in range(0, self._size, PIECE_BYTES):
+        for offset in range(0, self._size, self._piece_bytes):
             if offset in self._pieces:
                 continue
             if now_us - self._asked_us.get(offset, -RETRY_US) >= RETRY_US:
                 self.repeated += offset in self._asked_us
                 self._asked_us[offset] = now_us
-                self._ask(client, Opcode.READ_FILE, size=PIECE_BYTES, offset=offset)
+                self._ask(client, Opcode.READ_FILE, size=self._piece_bytes, offset=offset)
             room -= 1
             if room == 0:
                 break
@@ -148,7 +154,7 @@ class ReadFile(Task):
             raise LinkError(f"{self._path}: the vehicle closed the file during the download; try again")
         if answer.offset in self._pieces or answer.offset not in self._asked_us:
             return
-        if len(answer.data) != min(PIECE_BYTES, self._size - answer.offset):
+        if len(answer.data) != min(self._piece_bytes, self._size - answer.offset):
             return
         self._heard_us = now_us
         self._pieces[answer.offset] = answer.data
@@ -208,7 +214,13 @@ def read_back(session: Session, name: str, status: m.FcStatus, port: str) -> Gen
     return Download(name=name, id=expected, data=data, seconds=seconds, repeated=task.repeated)
 
 
-def download_session(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Session:
+def download_session(
+    name: str,
+    port: str,
+    on_phase: Callable[[str], None] | None = None,
+    *,
+    key: StationKey | None = None,
+) -> Session:
     """Return a session that downloads a blob from the vehicle at a port; its result is a Download."""
 
     def script(session: Session) -> Generator[Task, Any, Download]:
@@ -218,22 +230,28 @@ def download_session(name: str, port: str, on_phase: Callable[[str], None] | Non
             on_phase(f"reading {name}")
         return (yield from read_back(session, name, status, port))
 
-    return Session(script)
+    return Session(script, key=key)
 
 
-def download_port(name: str, port: str, on_phase: Callable[[str], None] | None = None) -> Download:
+def download_port(
+    name: str,
+    port: str,
+    on_phase: Callable[[str], None] | None = None,
+    *,
+    key: StationKey | None = None,
+) -> Download:
     """Download a blob from the vehicle at a serial port, in real time.
 
     Raises UsageError, LinkError or KeyboardInterrupt.
     """
-    session = download_session(name, port, on_phase)
+    session = download_session(name, port, on_phase, key=key)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
     return session.outcome()
 
 
-def download_lockstep(name: str, vehicle: Vehicle) -> Download:
+def download_lockstep(name: str, vehicle: Vehicle, *, key: StationKey | None = None) -> Download:
     """Download a blob from a vehicle in this process."""
-    session = download_session(name, "vehicle")
+    session = download_session(name, "vehicle", key=key)
     run_lockstep(session, vehicle)
     return session.outcome()

@@ -17,6 +17,7 @@ from typing import Any, Self
 from trimtab.host.link.ports import Cameras, Port
 from trimtab.host.link.session import Session
 from trimtab.host.link.vehicle import Vehicle
+from trimtab.protocol.signing import EPOCH_UNIX_S, UNIT_US
 from trimtab.protocol.telemetry import TICK_US
 
 LATE_US = 20_000
@@ -138,6 +139,7 @@ def run_port(
     statistics = DriveStatistics()
     end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
     first_us = now_us = _wall_us()
+    session.client.set_epoch(wall_timestamp() - now_us // UNIT_US)
     with Interrupts() as interrupts, selectors.DefaultSelector() as selector:
         selector.register(port, selectors.EVENT_READ)
         if cameras is not None:
@@ -158,6 +160,11 @@ def run_port(
     statistics.session_us = now_us - first_us
     statistics.wall_s = statistics.session_us * 1e-6
     return statistics
+
+
+def wall_timestamp() -> int:
+    """Return the time of the wall clock as a timestamp of signatures."""
+    return (time.time_ns() // 1000 - EPOCH_UNIX_S * 1_000_000) // UNIT_US
 
 
 def _wall_us() -> int:

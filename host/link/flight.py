@@ -74,7 +74,7 @@ class FlightDirector:
     """
 
     def __init__(self, request: FlightRequest, on_phase: Callable[[str], None] | None = None) -> None:
-        self.session = Session(self._script, CameraClock(request.camera_delay_us))
+        self.session = Session(self._script, CameraClock(request.camera_delay_us), request.key)
         self.phase = "connecting"
         self.end: FlightEnd | None = None
         self.identity: Identity | None = None

@@ -8,6 +8,7 @@ from pathlib import Path
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.link.host_control import ControlStop, HostControl
+from trimtab.host.link.keys import StationKey
 from trimtab.host.link.swap import SwapEnd
 from trimtab.host.link.takeover import Takeover
 from trimtab.host.vehicle import Vehicle
@@ -36,6 +37,8 @@ class FlightRequest:
         Minimum time from exposure to arrival; None if host and cameras share a clock.
     then
         Second reference. It is uploaded in flight and takes over `swap_us` after the start of the first.
+    key
+        Key of message signing; None for a vehicle without one.
     control
         Controller on the host that flies the reference. None: the vehicle flies it by its own law.
     """
@@ -54,6 +57,7 @@ class FlightRequest:
     camera_delay_us: int | None = None
     then: Reference | None = None
     swap_us: int = 0
+    key: StationKey | None = None
     control: HostControl | None = None
 
     def __post_init__(self) -> None:

@@ -197,10 +197,11 @@ class Cameras:
 def _address(text: str, url: str) -> tuple[str, int]:
     """Return host and port. Raises UsageError if either is missing or invalid."""
     host, colon, number = text.rpartition(":")
+    host = host.strip("[]")  # an empty host would stand for every address of the machine
     whole = number.isascii() and number.isdigit()
     if not colon or not host or not whole or not 0 < int(number) <= 65535:
         raise UsageError(f"{url}: needs HOST:PORT with a port number of 1 to 65535")
-    return host.strip("[]"), int(number)
+    return host, int(number)
 
 
 def _remedy(error: BaseException) -> str:

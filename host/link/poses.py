@@ -11,6 +11,7 @@ from trimtab.host.base.errors import LinkError
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.drivers import run_port
+from trimtab.host.link.keys import StationKey
 from trimtab.host.link.ports import Cameras, open_port
 from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import FindVehicle, Task
@@ -57,7 +58,12 @@ class KeepForwarding(Task):
 
 
 def forward_session(
-    port: str, camera_delay_us: int, *, ready: Callable[[], None], look: Callable[[Session], None]
+    port: str,
+    camera_delay_us: int,
+    *,
+    ready: Callable[[], None],
+    look: Callable[[Session], None],
+    key: StationKey | None = None,
 ) -> Session:
     """Return a session that forwards poses until it is ended from outside.
 
@@ -74,7 +80,7 @@ def forward_session(
         ready()
         yield KeepForwarding(port, lambda: look(session))
 
-    return Session(script, CameraClock(camera_delay_us))
+    return Session(script, CameraClock(camera_delay_us), key)
 
 
 def forward_port(
@@ -84,12 +90,13 @@ def forward_port(
     *,
     ready: Callable[[], None],
     look: Callable[[Session], None],
+    key: StationKey | None = None,
 ) -> Forwarded:
     """Forward poses until Ctrl-C, SIGTERM or SIGHUP, which is the normal end, and return the counts.
 
     Raises LinkError or UsageError.
     """
-    session = forward_session(port, camera_delay_us, ready=ready, look=look)
+    session = forward_session(port, camera_delay_us, ready=ready, look=look, key=key)
     with contextlib.closing(Cameras(mocap)) as cameras, contextlib.closing(open_port(port)) as line:
         driven = run_port(session, line, cameras)
     if session.error is not None and not isinstance(session.error, KeyboardInterrupt):

@@ -10,6 +10,7 @@ from typing import Any, Protocol
 
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.keys import StationKey
 from trimtab.host.link.tasks import Task
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import decode_message
@@ -39,6 +40,8 @@ class Session:
         Called once with the session, at the first `step`.
     camera
         Clock of the camera system. Poses are forwarded with stamps on the vehicle's clock.
+    key
+        Key of message signing; None for a vehicle without one.
 
     Attributes
     ----------
@@ -58,8 +61,13 @@ class Session:
         Observer of messages and poses, or None. If it raises, it is removed and the script gets the error.
     """
 
-    def __init__(self, script: Callable[[Session], Script], camera: CameraClock | None = None) -> None:
-        self.client = Client()
+    def __init__(
+        self,
+        script: Callable[[Session], Script],
+        camera: CameraClock | None = None,
+        key: StationKey | None = None,
+    ) -> None:
+        self.client = Client(key)
         self.camera = camera or CameraClock(None)
         self.listener: Listener | None = None
         self.done = False
@@ -88,6 +96,7 @@ class Session:
         """Process received bytes, camera datagrams and the time. Return the bytes to write to the port."""
         self.now_us = now_us
         client = self.client
+        client.set_time(now_us)
         if self._script is None:
             self._script = self._make_script(self)
             self._resume(None)

@@ -126,7 +126,9 @@ class Swap:
         if self._sender is None and tracking and message.reference_tick != m.NO_TICK:
             tick = (message.reference_tick + self._at_us // TICK_US) & 0xFFFF_FFFF
             data, kind = self._reference.to_bytes(), self._reference.KIND
-            self._sender = UploadSender(data, kind, at_tick=tick, interval_us=_INTERVAL_US)
+            self._sender = UploadSender(
+                data, kind, at_tick=tick, chunk_bytes=client.chunk_bytes, interval_us=_INTERVAL_US
+            )
             self._begin_us = now_us
             self._pump(client, now_us)
 

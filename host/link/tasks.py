@@ -13,6 +13,7 @@ from trimtab.host.base.errors import LinkError, Refused
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.signing import Verdict
 
 PATIENCE_US = 5_000_000
 RETRY_US = 300_000
@@ -63,14 +64,17 @@ class FindVehicle(Task):
     ----------
     port
         Name of the port in messages.
+    accept_signed
+        Without a key: also accept a vehicle that signs its messages. It obeys no commands then.
     """
 
     wants = (m.Heartbeat, m.AutopilotVersion)
 
-    def __init__(self, port: str, patience_us: int = PATIENCE_US) -> None:
+    def __init__(self, port: str, patience_us: int = PATIENCE_US, *, accept_signed: bool = False) -> None:
         super().__init__()
         self._port = port
         self._patience_us = patience_us
+        self._accept_signed = accept_signed
         self._end_us = NEVER_US
         self._met = False
 
@@ -94,6 +98,10 @@ class FindVehicle(Task):
                 f"{self._port}: this MAVLink vehicle does not speak Trimtab's dialect; check the port"
             )
         self._check_dialect(version)
+        if m.is_signed(message) and client.key is None and not self._accept_signed:
+            raise LinkError(
+                f"{self._port}: the vehicle obeys only messages that are signed; give its key with --key FILE"
+            )
         if not self._met:
             self._met = True
             self._end_us = now_us + self._patience_us
@@ -122,6 +130,8 @@ class FindVehicle(Task):
         seconds = f"{self._patience_us / 1e6:g} s"
         if self._met:
             return "the vehicle's heartbeat arrives but it does not answer; check the uplink"
+        if client.key is not None and (problem := _key_problem(client, client.key.name)):
+            return problem
         if client.others:
             systems = ", ".join(map(str, sorted(client.others)))
             return (
@@ -138,6 +148,20 @@ class FindVehicle(Task):
                 "check port and baud rate"
             )
         return f"no vehicle, nothing was received in {seconds}; check the port and that the vehicle is on"
+
+
+def _key_problem(client: Client, name: str) -> str | None:
+    """Return why messages arrived but none was accepted with the key of this name, or None."""
+    verifier = client.codec.verifier
+    if verifier is None or verifier.counts[Verdict.ACCEPTED]:
+        return None
+    if verifier.counts[Verdict.BAD_SIGNATURE]:
+        return f"the vehicle has another key than {name}; give its own, or install this one by cable"
+    if client.unsigned:
+        return (
+            f"the vehicle has no key; install {name} with `trimtab key install` by cable, or leave out --key"
+        )
+    return None
 
 
 class Command(Task):

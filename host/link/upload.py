@@ -10,6 +10,7 @@ from typing import Any
 from trimtab.host.base.errors import LinkError
 from trimtab.host.link.download import NAMES, id_on_board, read_back
 from trimtab.host.link.drivers import run_lockstep, run_port
+from trimtab.host.link.keys import StationKey
 from trimtab.host.link.ports import open_port
 from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import FindVehicle, FreshStatus, Identity, Task
@@ -55,6 +56,7 @@ def upload_session(
     on_phase: Callable[[str], None] | None = None,
     *,
     compare: bool = False,
+    key: StationKey | None = None,
 ) -> Session:
     """Return a session that makes a blob live on the vehicle at a port; its result is an UploadResult.
 
@@ -85,7 +87,7 @@ def upload_session(
             frames_repeated=sender.chunks_repeated,
         )
 
-    return Session(script)
+    return Session(script, key=key)
 
 
 def _compare(session: Session, blob: Blob, port: str) -> Generator[Task, Any, None]:
@@ -107,13 +109,14 @@ def upload_port(
     on_phase: Callable[[str], None] | None = None,
     *,
     compare: bool = False,
+    key: StationKey | None = None,
 ) -> UploadResult:
     """Upload a blob at a serial port in real time. Raises Refused, LinkError or UsageError.
 
     If `blob` is None, upload the neutral feed-forward. With `compare`, read the live blob back. At Ctrl-C,
     SIGTERM or SIGHUP the upload is cancelled on board (KeyboardInterrupt); at a second Ctrl-C it is not.
     """
-    session = upload_session(blob, port, on_phase, compare=compare)
+    session = upload_session(blob, port, on_phase, compare=compare, key=key)
     with contextlib.closing(open_port(port)) as line:
         run_port(session, line)
     return session.outcome()
@@ -125,8 +128,9 @@ def upload_lockstep(
     on_phase: Callable[[str], None] | None = None,
     *,
     compare: bool = False,
+    key: StationKey | None = None,
 ) -> UploadResult:
     """Upload a blob to a vehicle in this process."""
-    session = upload_session(blob, "vehicle", on_phase, compare=compare)
+    session = upload_session(blob, "vehicle", on_phase, compare=compare, key=key)
     run_lockstep(session, vehicle)
     return session.outcome()

@@ -22,10 +22,12 @@ class SendBlob(Task):
 
     def __init__(self, blob: bytes, kind: int, *, what: str) -> None:
         super().__init__()
-        self.sender = UploadSender(blob, kind)
+        self._blob = blob
+        self._kind = kind
         self._what = what
 
     def begin(self, client: Client, now_us: int) -> None:
+        self.sender = UploadSender(self._blob, self._kind, chunk_bytes=client.chunk_bytes)
         self._pump(client, now_us)
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:

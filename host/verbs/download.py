@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from typing import Literal
 
-from trimtab.host.verbs.options import Force, Json, Output
+from trimtab.host.verbs.options import Force, Json, KeyFile, Output, key_option
 
 Name = Literal["reference", "feedforward", "staged-reference", "staged-feedforward"]
 
 
 def command(
-    name: Name, *, port: str, output: Output = None, force: Force = False, json: Json = False
+    name: Name,
+    *,
+    port: str,
+    key: KeyFile = None,
+    output: Output = None,
+    force: Force = False,
+    json: Json = False,
 ) -> None:
     """Download a reference or feed-forward from a vehicle to a file.
 
@@ -31,8 +37,9 @@ def command(
     from trimtab.host.link.download import NAMES, download_port
 
     target = check_output(output or Path(name + NAMES[name].suffix), force)
+    station = key_option(key)
     with Progress(f"downloading {name}") as bar:
-        result = download_port(name, port, lambda phase: bar.advance(1.0, phase))
+        result = download_port(name, port, lambda phase: bar.advance(1.0, phase), key=station)
     write_atomic(target, result.data, force)
     say(f"{name} {result.id}: {len(result.data)} bytes in {result.seconds:.2f} s, saved as {target}")
     emit({**result.to_json(), "file": str(target)}, json)

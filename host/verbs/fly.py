@@ -9,18 +9,28 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import (
+    DEFAULT_VEHICLE,
+    Force,
+    Json,
+    KeyFile,
+    Output,
+    VehicleName,
+    WorkspaceFolder,
+    key_option,
+)
 
 if TYPE_CHECKING:
     from collections.abc import Callable
 
     from trimtab.host.link.flight_request import FlightRequest
     from trimtab.host.link.host_control import FlownBy
+    from trimtab.host.link.keys import StationKey
     from trimtab.host.link.summary import FlightResult
     from trimtab.host.vehicle import Vehicle
 
 CAMERA_DELAY_MS = 4.0
-_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace")
+_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace", "--key")
 _LEFT_OUT = ("--json", "--force", "--realtime")
 
 
@@ -89,6 +99,7 @@ class FlyOptions:
     model: Path | None = None
     then: Path | None = None
     at: float | None = None
+    key: KeyFile = None
     output: Output = None
     force: Force = False
     json: Json = False
@@ -190,7 +201,17 @@ def _request(reference: Path, options: FlyOptions) -> FlightRequest:
         then=following,
         swap_us=swap_us,
         control=by.control,
+        key=_key(options),
     )
+
+
+def _key(options: FlyOptions) -> StationKey | None:
+    """Return the key that --key names. A simulated flight holds the same key and reads no wall clock."""
+    from trimtab.host.link.keys import read_key
+
+    if options.key is not None and options.port is None:
+        return read_key(options.key)
+    return key_option(options.key)
 
 
 def _flown_by(options: FlyOptions, vehicle: Vehicle) -> FlownBy:
@@ -260,6 +281,7 @@ def _fly_simulated(
         plant_options=options.plant_options,
         start_ned=(first[0], first[1], 0.0),
         start_yaw=request.reference.yaw_nodes()[0].yaw,
+        key=None if request.key is None else request.key.key,
     )
     before = _file_number(request.log_path)
     with closing(simulated):

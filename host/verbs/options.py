@@ -3,9 +3,12 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
+
+if TYPE_CHECKING:
+    from trimtab.host.link.keys import StationKey
 
 Json = Annotated[
     bool, Parameter(name="--json", negative="", help="Print one JSON object as the last line of stdout.")
@@ -15,6 +18,11 @@ Force = Annotated[bool, Parameter(name="--force", negative="", help="Overwrite t
 
 Output = Annotated[Path | None, Parameter(name=["-o", "--output"])]
 """The docstring of each verb describes the output and its default."""
+
+KeyFile = Annotated[
+    Path | None,
+    Parameter(name="--key", help="Key file, if the vehicle has a key: `trimtab key new` makes one."),
+]
 
 VehicleName = Annotated[str, Parameter(name="--vehicle", help="Vehicle file, by name or path.")]
 
@@ -26,3 +34,13 @@ WorkspaceFolder = Annotated[
 ]
 
 DEFAULT_VEHICLE = "research"
+
+
+def key_option(path: Path | None) -> StationKey | None:
+    """Return the key in the file of --key, recorded as used now; None without it. Raises UsageError."""
+    if path is None:
+        return None
+    from trimtab.host.link.drivers import wall_timestamp
+    from trimtab.host.link.keys import use_key
+
+    return use_key(path, wall_timestamp())

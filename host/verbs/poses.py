@@ -5,13 +5,20 @@ from __future__ import annotations
 from typing import TYPE_CHECKING
 
 from trimtab.host.verbs.fly import CAMERA_DELAY_MS
-from trimtab.host.verbs.options import Json
+from trimtab.host.verbs.options import Json, KeyFile, key_option
 
 if TYPE_CHECKING:
     from trimtab.host.link.session import Session
 
 
-def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, json: Json = False) -> None:
+def command(
+    *,
+    port: str,
+    mocap: str,
+    mocap_delay_ms: float = CAMERA_DELAY_MS,
+    key: KeyFile = None,
+    json: Json = False,
+) -> None:
     """Forward a camera system's poses to a vehicle, with stamps on its clock, until interrupted.
 
     This verb sends no commands. MAVSDK, MAVProxy or another ground station flies through the same UDP port.
@@ -32,6 +39,7 @@ def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, j
 
     if not 0.0 <= mocap_delay_ms <= 1000.0:
         raise UsageError(f"--mocap-delay-ms {mocap_delay_ms:g} is out of range; give 0 to 1000")
+    station = key_option(key)
     with Progress("forwarding poses") as bar:
 
         def look(session: Session) -> None:
@@ -40,7 +48,12 @@ def command(*, port: str, mocap: str, mocap_delay_ms: float = CAMERA_DELAY_MS, j
 
         delay_us = round(1000 * mocap_delay_ms)
         result = forward_port(
-            port, mocap, delay_us, ready=lambda: say(f"forwarding poses from {mocap} to {port}"), look=look
+            port,
+            mocap,
+            delay_us,
+            ready=lambda: say(f"forwarding poses from {mocap} to {port}"),
+            look=look,
+            key=station,
         )
     say(f"{result.forwarded} of {result.poses} poses forwarded in {result.seconds:.1f} s")
     emit(result.to_json(), json)

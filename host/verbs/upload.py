@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Json
+from trimtab.host.verbs.options import Json, KeyFile, key_option
 
 
 def command(
@@ -14,6 +14,7 @@ def command(
     *,
     port: str,
     compare: Annotated[bool, Parameter(name="--read-back", negative="")] = False,
+    key: KeyFile = None,
     json: Json = False,
 ) -> None:
     """Send a reference or feed-forward to a vehicle and commit it.
@@ -35,8 +36,11 @@ def command(
     from trimtab.host.link.upload import upload_port
 
     content = None if blob == "neutral" else read_blob(blob)
+    station = key_option(key)
     with Progress(f"uploading {Path(blob).name}") as bar:
-        result = upload_port(content, port, lambda phase: bar.advance(1.0, phase), compare=compare)
+        result = upload_port(
+            content, port, lambda phase: bar.advance(1.0, phase), compare=compare, key=station
+        )
     say(
         f"{result.kind} {result.id} is live: {result.frames_sent} frames in {result.seconds:.2f} s, "
         f"{result.frames_repeated} retransmitted" + (", verified by reading back" if result.read_back else "")

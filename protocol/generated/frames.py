@@ -41,6 +41,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     244: ("MESSAGE_INTERVAL", 95, 6),
     245: ("EXTENDED_SYS_STATE", 130, 2),
     253: ("STATUSTEXT", 83, 54),
+    256: ("SETUP_SIGNING", 71, 42),
     331: ("ODOMETRY", 91, 233),
     345: ("PARAM_ERROR", 209, 21),
     52100: ("FC_CONTROL", 18, 84),

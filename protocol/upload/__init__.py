@@ -18,6 +18,7 @@ from trimtab.protocol.upload.receiver import UploadReceiver
 from trimtab.protocol.upload.sender import SenderState, UploadSender
 from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
+    SIGNED_CHUNK_BYTES,
     Incoming,
     ReceiverEvent,
     SwapAnswer,
@@ -27,6 +28,7 @@ from trimtab.protocol.upload.transfer import (
 
 __all__ = [
     "CHUNK_BYTES",
+    "SIGNED_CHUNK_BYTES",
     "BlobStore",
     "Incoming",
     "ReceiverEvent",

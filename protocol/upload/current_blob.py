@@ -13,7 +13,7 @@ class BlobStore(Protocol):
 
     def live(self, kind: int) -> bytes | None: ...
     def incoming(self) -> Incoming | None: ...
-    def begin(self, kind: int, size: int, digest: bytes) -> None: ...
+    def begin(self, kind: int, size: int, digest: bytes, chunk_bytes: int) -> None: ...
     def put(self, kind: int, index: int, chunk: bytes) -> None: ...
     def received(self, kind: int) -> bytes: ...
     def stage(self, kind: int, blob: bytes) -> object: ...
@@ -22,11 +22,12 @@ class BlobStore(Protocol):
 
 
 class BlobIdentity(NamedTuple):
-    """Identity of a blob in a message: SHA-256 digest, kind, size in bytes."""
+    """Identity of a blob in a message: SHA-256 digest, kind, size in bytes; and the size of its chunks."""
 
     digest: bytes = b""
     kind: int = 0
     size: int = 0
+    chunk_bytes: int = CHUNK_BYTES
 
     @property
     def id(self) -> str:
@@ -66,19 +67,19 @@ class CurrentBlob:
     def begin(self, blob: BlobIdentity) -> None:
         """Start to receive `blob`."""
         self.blob = blob
-        self.held_chunks = bytearray(chunk_count(blob.size))
-        self._store.begin(blob.kind, blob.size, blob.digest)
+        self.held_chunks = bytearray(chunk_count(blob.size, blob.chunk_bytes))
+        self._store.begin(blob.kind, blob.size, blob.digest, blob.chunk_bytes)
 
     def put(self, index: int, data: bytes) -> None:
         """Store chunk `index`. `data` may be padded at its end."""
-        start = index * CHUNK_BYTES
-        stop = min(start + CHUNK_BYTES, self.blob.size)
+        start = index * self.blob.chunk_bytes
+        stop = min(start + self.blob.chunk_bytes, self.blob.size)
         self._store.put(self.blob.kind, index, data[: stop - start])
         self.held_chunks[index] = 1
 
     def resume(self, incoming: Incoming) -> None:
         """Continue the upload that the store holds."""
-        self.blob = BlobIdentity(incoming.digest, incoming.kind, incoming.size)
+        self.blob = BlobIdentity(incoming.digest, incoming.kind, incoming.size, incoming.chunk_bytes)
         self.held_chunks = incoming.held
 
     def data(self) -> bytes:

@@ -18,6 +18,7 @@ from trimtab.protocol.upload.receiver_reports import Reports
 from trimtab.protocol.upload.receiver_table import TABLE, Event, Refusal
 from trimtab.protocol.upload.transfer import (
     CHUNK_BYTES,
+    CHUNK_SIZES,
     SIZE_MAX,
     ReceiverEvent,
     SwapAnswer,
@@ -123,8 +124,8 @@ class UploadReceiver:
             self._on_chunk(message, now_us)
         elif isinstance(message, m.UploadBegin):
             self._reports.query = message.query
-            blob = BlobIdentity(bytes(message.digest), message.kind, message.size)
-            self._machine.run(self._begin_event(blob, message.chunk), blob, now_us)
+            blob = BlobIdentity(bytes(message.digest), message.kind, message.size, message.chunk)
+            self._machine.run(self._begin_event(blob), blob, now_us)
         elif isinstance(message, m.UploadCommit):
             self._on_commit(bytes(message.digest), message.at_tick, now_us)
         elif isinstance(message, m.UploadAbort):
@@ -177,7 +178,7 @@ class UploadReceiver:
         if self.state is UploadState.RECEIVING and self._reports.awaited(now_us):
             return UploadResult.BUSY, None, []
         blob = BlobIdentity(hashlib.sha256(data).digest(), kind, len(data))
-        event = self._begin_event(blob, CHUNK_BYTES)
+        event = self._begin_event(blob)
         if event is Event.BEGIN_LIVE:
             return UploadResult.OK, None, []
         if self.state is UploadState.SCHEDULED:
@@ -224,16 +225,20 @@ class UploadReceiver:
 
     # Classify messages as events.
 
-    def _begin_event(self, blob: BlobIdentity, chunk_bytes: int) -> Event:
+    def _begin_event(self, blob: BlobIdentity) -> Event:
         if blob.kind not in tuple(Kind):
             return Event.BEGIN_BAD_KIND
-        if chunk_bytes != CHUNK_BYTES or blob.size == 0:
+        if blob.chunk_bytes not in CHUNK_SIZES or blob.size == 0:
             return Event.BEGIN_BAD_REQUEST
         if blob.size > self._capacity:
             return Event.BEGIN_TOO_LARGE
         if self._machine.live.get(blob.kind) == blob.digest:
             return Event.BEGIN_LIVE
-        return Event.BEGIN_SAME if blob == self._current.blob else Event.BEGIN_OTHER
+        current = self._current.blob
+        same = blob[:3] == current[:3]
+        if self.state is UploadState.RECEIVING and blob.chunk_bytes != current.chunk_bytes:
+            same = False  # the chunks held do not match; once all are held, their size no longer matters
+        return Event.BEGIN_SAME if same else Event.BEGIN_OTHER
 
     def _on_chunk(self, message: m.UploadChunk, now_us: int) -> None:
         index = message.index

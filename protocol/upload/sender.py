@@ -18,6 +18,7 @@ from trimtab.protocol.upload.sender_table import TABLE, Action, Event, Refusal, 
 from trimtab.protocol.upload.transfer import (
     BITMAP_BYTES,
     CHUNK_BYTES,
+    CHUNK_SIZES,
     SIZE_MAX,
     Verdict,
     chunk_count,
@@ -56,6 +57,8 @@ class UploadSender:
         Whether to make the blob live once it is accepted; otherwise it stays staged.
     at_tick
         Tick of the vehicle at which the blob takes over in flight; None for an immediate commit on the floor.
+    chunk_bytes
+        Bytes in each chunk, one of CHUNK_SIZES: SIGNED_CHUNK_BYTES if messages are signed.
     window, interval_us
         Greatest number of chunks in flight, and least time between two chunks.
     patience_us
@@ -83,14 +86,16 @@ class UploadSender:
         kind: int,
         *,
         commit: bool = True,
-        target_system: int = m.VEHICLE[0],
         at_tick: int | None = None,
+        chunk_bytes: int = CHUNK_BYTES,
         window: int = WINDOW,
         interval_us: int = INTERVAL_US,
         patience_us: int = 15_000_000,
     ) -> None:
         if not 0 < len(blob) <= SIZE_MAX:
             raise ValueError(f"a blob has 1 to {SIZE_MAX} bytes, not {len(blob)}")
+        if chunk_bytes not in CHUNK_SIZES:
+            raise ValueError(f"chunk_bytes must be one of {CHUNK_SIZES}, not {chunk_bytes}")
         if not 0 < window <= 8 * BITMAP_BYTES:
             raise ValueError(f"window must be 1 to {8 * BITMAP_BYTES}, not {window}")
         self.state = SenderState.OPENING
@@ -98,14 +103,15 @@ class UploadSender:
         self.silent = False
         self.verdict: Verdict | None = None
         self.digest = hashlib.sha256(blob).digest()
-        self.chunks = chunk_count(len(blob))
+        self.chunks = chunk_count(len(blob), chunk_bytes)
         self.messages_sent = 0
         self.chunks_sent = 0
         self.restarts = 0
         self._blob = bytes(blob)
+        self._chunk_bytes = chunk_bytes
         self._kind = int(kind)
         self._commit_wanted = commit
-        self._target = target_system
+        self._target = m.VEHICLE[0]
         self._at_tick = m.NO_TICK if at_tick is None else at_tick
         self._status_us = 0
         self._patience_us = patience_us
@@ -257,7 +263,7 @@ class UploadSender:
             self._announcement = self._announcement % _ANNOUNCEMENTS + 1
         size, digest = len(self._blob), self.digest
         self._out.append(
-            m.UploadBegin(size, self._target, self._kind, CHUNK_BYTES, self._announcement, digest)
+            m.UploadBegin(size, self._target, self._kind, self._chunk_bytes, self._announcement, digest)
         )
 
     def _restart(self, message: Message | None, now_us: int) -> None:
@@ -282,8 +288,9 @@ class UploadSender:
 
     def _chunk(self, index: int) -> Message:
         self.chunks_sent += 1
-        data = self._blob[index * CHUNK_BYTES : (index + 1) * CHUNK_BYTES].ljust(CHUNK_BYTES, b"\0")
-        return m.UploadChunk(self._tag, index, self._target, data)
+        step = self._chunk_bytes
+        data = self._blob[index * step : (index + 1) * step]
+        return m.UploadChunk(self._tag, index, self._target, data.ljust(CHUNK_BYTES, b"\0"))
 
     def _overdue_us(self) -> int:
         """Return the time after which a request is repeated.

@@ -8,11 +8,16 @@ from enum import Enum, IntEnum
 from typing import Generic, NamedTuple, TypeVar
 
 from trimtab.protocol.messages import UploadResult
+from trimtab.protocol.stream import SIGNATURE_BYTES
 
 CHUNK_BYTES = 99
 """Bytes of a blob in one UPLOAD_CHUNK: the message then fills a radio frame."""
+SIGNED_CHUNK_BYTES = CHUNK_BYTES - SIGNATURE_BYTES
+"""Bytes of a blob in one signed UPLOAD_CHUNK, likewise. The rest of its field is zero and is not sent."""
+CHUNK_SIZES = (CHUNK_BYTES, SIGNED_CHUNK_BYTES)
+"""Sizes of chunks that the vehicle accepts. The host chooses."""
 CHUNKS_MAX = 0xFFFF
-SIZE_MAX = CHUNK_BYTES * CHUNKS_MAX
+SIZE_MAX = SIGNED_CHUNK_BYTES * CHUNKS_MAX
 BITMAP_BYTES = 64
 MESSAGE_BYTES = 64
 
@@ -93,17 +98,18 @@ class Table(Generic[S, E, T]):
 
 
 class Incoming(NamedTuple):
-    """A blob being received: kind, size, SHA-256, and one byte for each chunk, 1 if it is held."""
+    """A blob being received: kind, size, SHA-256, size of its chunks, and for each chunk 1 if it is held."""
 
     kind: int
     size: int
     digest: bytes
+    chunk_bytes: int
     held: bytearray
 
 
-def chunk_count(size: int) -> int:
+def chunk_count(size: int, chunk_bytes: int = CHUNK_BYTES) -> int:
     """Return the number of chunks of a blob of `size` bytes."""
-    return -(-size // CHUNK_BYTES)
+    return -(-size // chunk_bytes)
 
 
 def tag_of(digest: bytes) -> int:

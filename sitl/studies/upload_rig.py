@@ -21,9 +21,11 @@ from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.flash import Flash
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.vehicle import Vehicle, load_vehicle, to_parameters
+from trimtab.protocol import unsigned
 from trimtab.protocol.blobs import Kind
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, HOST_RADIO, VEHICLE_RADIO, Message
+from trimtab.protocol.signing import SIMULATED_EPOCH, Signer, SigningKey, Verifier
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.protocol.upload import UploadSender, Verdict
 from trimtab.sitl.radio import Radio, RadioChannel
@@ -153,6 +155,8 @@ class UploadRig:
         Makes the sender, also after the host was killed.
     on_message
         Called with the time, whether the host sends (True) or receives (False), and the message.
+    key
+        Key of message signing of host and vehicle; None without signing.
     tap
         Returns a replacement for a radio (True: the ground's) that observes its frames.
 
@@ -170,6 +174,7 @@ class UploadRig:
         vehicle: str = "research",
         make_sender: Callable[[bytes], UploadSender] = lambda blob: UploadSender(blob, Kind.REFERENCE),
         on_message: Callable[[int, bool, Message], None] = lambda now_us, is_sent, message: None,
+        key: SigningKey | None = None,
         tap: Callable[[Radio, bool], Radio] = lambda radio, of_ground: radio,
     ) -> None:
         self.blob, self.old = blob, old
@@ -177,6 +182,9 @@ class UploadRig:
         if old is not None:
             store.stage(Kind.REFERENCE, old)
             store.commit(Kind.REFERENCE)
+        if key is not None:
+            store.signing.keep(key, SIMULATED_EPOCH - 1)
+        self._key = key
         self.vehicle = VehicleEnd(vehicle, store)
         self.ground = RadioMcu(address=HOST_RADIO)
         self.now_us = 0
@@ -197,7 +205,10 @@ class UploadRig:
     def start_host(self) -> None:
         """Start a new host that knows only the blob."""
         self.sender = self._make_sender(self.blob)
-        self._codec = Codec(*HOST)
+        self._codec = Codec(*HOST, accepts_unsigned=unsigned.host_accepts)
+        if self._key is not None:
+            self._codec.signer = Signer(self._key, link_id=0, epoch=SIMULATED_EPOCH)
+            self._codec.verifier = Verifier(self._key, epoch=SIMULATED_EPOCH)
         self._deadline_us = max(self.now_us, self.begin_us)
 
     @property
@@ -228,6 +239,9 @@ class UploadRig:
 
     def _host(self, now_us: int) -> None:
         sender, codec = self.sender, self._codec
+        if codec.signer is not None and codec.verifier is not None:
+            codec.signer.advance(now_us)
+            codec.verifier.advance(now_us)
         if now_us < self.begin_us:
             self._port.read(now_us)
             return

@@ -13,8 +13,10 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.protocol.blobs import Kind
 from trimtab.protocol.messages import UploadStatus
-from trimtab.protocol.upload import SenderState
+from trimtab.protocol.signing import SigningKey
+from trimtab.protocol.upload import CHUNK_BYTES, SIGNED_CHUNK_BYTES, SenderState, UploadSender
 from trimtab.protocol.upload.transfer import chunk_count
 from trimtab.sitl.studies.upload_blob import reference_blob
 from trimtab.sitl.studies.upload_rig import UploadRig
@@ -40,11 +42,12 @@ def bound_s(size: int, radio: RadioSettings) -> float:
     return chunk_count(size) * radio.slot_us * 1e-6 / (1.0 - radio.loss)
 
 
-def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
+def time_upload(channel: str, seed: int, number: int, key: SigningKey | None = None) -> dict[str, Any]:
     """Run one upload and return plain data: seconds from its first message to the confirmation, and chunks.
 
-    `seconds` is None if the upload failed or another blob became live.
+    `seconds` is None if the upload failed or another blob became live. With a key, all messages are signed.
     """
+    chunk_bytes = CHUNK_BYTES if key is None else SIGNED_CHUNK_BYTES
     answered: list[int] = []
 
     def on_message(now_us: int, is_sent: bool, message: Any) -> None:
@@ -57,7 +60,9 @@ def time_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
         radio=CHANNELS[channel],
         seed=seed,
         number=number,
+        make_sender=lambda blob: UploadSender(blob, Kind.REFERENCE, chunk_bytes=chunk_bytes),
         on_message=on_message,
+        key=key,
     )
     rig.run(GIVE_UP_US)
     whole = rig.sender.state is SenderState.DONE and rig.live == rig.blob

@@ -95,20 +95,45 @@ def staying(*words: str) -> Iterator[str]:
 def serve() -> Iterator[Callable[..., str]]:
     """Starts a simulated vehicle: serve("udp:127.0.0.1:0") -> the address, HOST:PORT or a device.
 
-    Further words are options of `trimtab sitl`. Over UDP, `trimtab poses` forwards the camera system's poses
-    to the same port.
+    `sitl` and `poses` are further options of the two verbs.
+
+    Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
     """
     with ExitStack() as stack:
 
-        def start(port: str = "udp:127.0.0.1:0", *words: str) -> str:
+        def start(
+            port: str = "udp:127.0.0.1:0", *, sitl: Sequence[str] = (), poses: Sequence[str] = ()
+        ) -> str:
             mocap = free_url()
-            address = stack.enter_context(staying("sitl", "--port", port, "--mocap", mocap, *words))
+            address = stack.enter_context(staying("sitl", "--port", port, "--mocap", mocap, *sitl))
             if address.startswith("udp:"):
-                said = stack.enter_context(staying("poses", "--port", address, "--mocap", mocap))
+                said = stack.enter_context(staying("poses", "--port", address, "--mocap", mocap, *poses))
                 assert said.startswith("forwarding poses")
             return address.removeprefix("udp:").removeprefix("tcp:")
 
         yield start
+
+
+@pytest.fixture
+def key_file(tmp_path: Path) -> Path:
+    """A new key, as `trimtab key new` makes it."""
+    path = tmp_path / "lab.key"
+    subprocess.run(run("key", "new", str(path)), check=True, capture_output=True)
+    return path
+
+
+@pytest.fixture
+def serve_with_key(serve: Callable[..., str], key_file: Path, tmp_path: Path) -> Callable[..., str]:
+    """Like `serve`, over the radio, after the key was installed by cable."""
+
+    def start(port: str = "udp:127.0.0.1:0") -> str:
+        memory = ("--memory", str(tmp_path / "vehicle.memory"))
+        with staying("sitl", "--port", "pty", "--world", "wired", *memory) as device:
+            install = run("key", "install", str(key_file), "--port", device)
+            subprocess.run(install, check=True, capture_output=True)
+        return serve(port, sitl=memory, poses=("--key", str(key_file)))
+
+    return start
 
 
 class Station:

@@ -181,3 +181,17 @@ def test_mavsdk_lifts_off_in_offboard(serve: Callable[..., str], connect: Callab
     vehicle.until(lambda: near(vehicle.place, (0.6, 0.0, -1.0), 0.1) and abs(vehicle.yaw_deg - 90.0) < 5.0)
     vehicle.offboard.stop()
     vehicle.land()
+
+
+def test_mavsdk_cannot_sign_and_is_told_why_it_may_not_command(
+    serve_with_key: Callable[..., str], connect: Callable[[str], Any]
+) -> None:
+    """MAVSDK 4.1 has no call that sets a key. It reads a vehicle with one, and commands time out."""
+    from mavsdk.plugins.action import ActionError
+
+    vehicle = connect(f"udpout://{serve_with_key()}")
+    assert vehicle.param.get_param_float("HOLD_S") == 1.0
+    with pytest.raises(ActionError, match="TIMEOUT"):
+        vehicle.action.arm()
+    vehicle.until(lambda: "signed messages only: give this station the key" in vehicle.texts)
+    assert not vehicle.armed

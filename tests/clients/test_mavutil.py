@@ -154,7 +154,7 @@ def test_mavutil_shows_the_loss_of_the_link(
     """mavutil counts 255 lost messages for each that another message of its component overtook."""
     world = tmp_path / "lossless.toml"
     world.write_text(LOSSLESS)
-    own = station("udpout:" + serve("udp:127.0.0.1:0", *(["--world", str(world)] if lossless else [])))
+    own = station("udpout:" + serve(sitl=["--world", str(world)] if lossless else []))
     own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
     own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 20, 1)
     own.parameters()

@@ -13,7 +13,7 @@ from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.firmware_model.flight.track import track
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.reference import septic
-from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
+from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.store import ReferenceStore
@@ -344,7 +344,7 @@ def flown(engine):
 class Line:
     """A FlightMcu on a bare serial line, no radios: what stations of any address say and hear on it."""
 
-    def __init__(self, engine, *, store=None, parameters=None):
+    def __init__(self, engine, *, store=None, parameters=None, wired=False):
         self.body = Body()
         self.store = store or ReferenceStore()
         self.flight = FlightMcu(
@@ -353,6 +353,7 @@ class Line:
             store=self.store,
             uid=7,
             vehicle_id=bytes.fromhex(VEHICLE_ID),
+            uart=flight_uart(wired=wired),
         )
         self.port = UartPort(baud=921_600, rx_bytes=1 << 16, tx_bytes=1 << 16)
         connect(self.port, self.flight.uart)

@@ -17,6 +17,7 @@ from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message, UploadResult, UploadState
 from trimtab.protocol.upload import (
     CHUNK_BYTES,
+    SIGNED_CHUNK_BYTES,
     Incoming,
     ReceiverEvent,
     SenderState,
@@ -45,14 +46,16 @@ class Store:
     def incoming(self) -> Incoming | None:
         return self.begun
 
-    def begin(self, kind: int, size: int, digest: bytes) -> None:
-        self.begun = Incoming(kind, size, digest, bytearray(chunk_count(size)))
+    def begin(self, kind: int, size: int, digest: bytes, chunk_bytes: int) -> None:
+        held = bytearray(chunk_count(size, chunk_bytes))
+        self.begun = Incoming(kind, size, digest, chunk_bytes, held)
         self.data = bytearray(size)
 
     def put(self, kind: int, index: int, chunk: bytes) -> None:
         assert self.begun is not None
         assert self.begun.kind == kind
-        self.data[index * CHUNK_BYTES : index * CHUNK_BYTES + len(chunk)] = chunk
+        start = index * self.begun.chunk_bytes
+        self.data[start : start + len(chunk)] = chunk
         self.begun.held[index] = 1
 
     def received(self, kind: int) -> bytes:
@@ -176,6 +179,37 @@ def test_upload_over_loss_in_bursts_arrives_byte_exact(loss: float, burst: float
         assert link.sender.state is SenderState.DONE, link.sender.reason
         assert store.lives == {REFERENCE: blob}
         assert store.stages == {}
+
+
+def test_upload_in_chunks_of_another_size_begins_again_and_arrives_byte_exact() -> None:
+    blob, store = make_blob(20_800), Store()
+    link = make_link(blob, store)
+    while link.sender.held < 50:
+        link.slot()
+    link.sender = UploadSender(blob, REFERENCE, chunk_bytes=SIGNED_CHUNK_BYTES)
+    link.run()
+    assert link.sender.state is SenderState.DONE, link.sender.reason
+    assert store.lives == {REFERENCE: blob}
+    assert link.sender.chunks == chunk_count(len(blob), SIGNED_CHUNK_BYTES) == 242
+    assert link.sender.restarts == 0
+
+
+def test_staged_blob_is_committed_whatever_the_size_of_its_chunks_was() -> None:
+    blob, store = make_blob(20_800), Store()
+    receiver = make_receiver(store)
+    up, down = (Channel(random.Random(k)) for k in range(2))
+    link = Link(UploadSender(blob, REFERENCE, commit=False), receiver, up, down)
+    link.run()
+    link.sender = UploadSender(blob, REFERENCE, chunk_bytes=SIGNED_CHUNK_BYTES)
+    link.run()
+    assert link.sender.state is SenderState.DONE
+    assert link.sender.chunks_sent == 0
+    assert store.lives == {REFERENCE: blob}
+
+
+def test_chunk_size_that_the_vehicle_does_not_accept_is_refused() -> None:
+    with pytest.raises(ValueError, match="chunk_bytes must be one of"):
+        UploadSender(b"blob", REFERENCE, chunk_bytes=50)
 
 
 def test_upload_without_loss_sends_every_chunk_once() -> None:

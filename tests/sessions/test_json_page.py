@@ -121,6 +121,12 @@ def test_plan_and_fly_print_what_the_page_says(
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
+def test_key_new_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
+    check("key new", trimtab("key", "new", "lab.key"))
+    assert set(documented("key install")) == {("file",), ("port",)}  # what test_pty.py sees printed
+    assert set(documented("key revoke")) == {("port",)}
+
+
 def test_fly_that_loses_its_link_prints_what_the_page_says(
     reference: Reference,
     world_file: Callable[[str], str],

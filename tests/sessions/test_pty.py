@@ -81,6 +81,54 @@ def test_pty_flight_after_upload_tracks_and_logs(
     assert flight.metadata["session_uid"] == json.loads(truth.read_text())["uid"]
 
 
+def test_pty_key_is_installed_by_cable_and_then_needed_over_the_radio(
+    run_trimtab: Callable[..., tuple[int, dict, str]], reference: Reference, mocap_url: str, tmp_path: Path
+) -> None:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    assert run_trimtab("key", "new", "lab.key")[0] == 0
+    memory = ("--memory", str(tmp_path / "vehicle.memory"))
+    with served("--port", "pty", "--world", "wired", *memory) as (port, end):
+        assert run_trimtab("key", "install", "lab.key", "--port", port)[0] == 0
+        end()
+    with served("--port", "pty", "--mocap", mocap_url, *memory) as (port, end):
+        code, _, complaint = run_trimtab("upload", "eight.ref", "--port", port)
+        assert (code, len(complaint.splitlines())) == (3, 1)
+        assert "give its key with --key FILE" in complaint
+        code, _, complaint = run_trimtab("key", "revoke", "--port", port)
+        assert code == 3
+        assert "connect the vehicle by cable" in complaint
+        key = ("--port", port, "--key", "lab.key")
+        code, _, complaint = run_trimtab("upload", "eight.ref", "--read-back", *key)
+        assert code == 0, complaint
+        words = ("--mocap", mocap_url, "-o", "x.mcap", "--json")
+        code, told, complaint = run_trimtab("fly", "eight.ref", *key, *words)
+        assert code == 0, complaint
+        end()
+    assert told["whole"]
+    assert told["tracking_rmse_m"] < 0.15
+
+
+@pytest.mark.full  # beside the flight above
+def test_pty_signed_flight_by_cable_and_a_flight_after_the_key_was_revoked(
+    run_trimtab: Callable[..., tuple[int, dict, str]], reference: Reference, mocap_url: str, tmp_path: Path
+) -> None:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    run_trimtab("key", "new", "lab.key")
+    with served("--port", "pty", "--mocap", mocap_url, "--world", "wired") as (port, end):
+        code, told, complaint = run_trimtab("key", "install", "lab.key", "--port", port, "--json")
+        assert (code, told) == (0, {"file": "lab.key", "port": port}), complaint
+        for key in (("--key", "lab.key"), ()):
+            words = ("--port", port, *key)
+            assert run_trimtab("upload", "eight.ref", *words)[0] == 0
+            words = (*words, "--mocap", mocap_url, "-o", "x.mcap", "--force", "--json")
+            code, told, complaint = run_trimtab("fly", "eight.ref", *words)
+            assert code == 0, complaint
+            assert told["whole"]
+            code, told, complaint = run_trimtab("key", "revoke", "--port", port, "--json")
+            assert (code, told) == (0, {"port": port}), complaint
+        end()
+
+
 @pytest.mark.full  # beside the flight above and those over lossy links in lock-step
 def test_pty_flight_over_a_radio_that_loses_a_fifth_of_its_frames(
     vehicle: Vehicle, reference: Reference, mocap_url: str, tmp_path: Path

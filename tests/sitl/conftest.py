@@ -8,6 +8,7 @@ import pytest
 
 from trimtab.host.apps.bench.session_parts import figure_eight
 from trimtab.host.link.client import Client
+from trimtab.host.link.keys import StationKey
 from trimtab.protocol.blobs import Kind, Reference
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import CAMERAS, AttPosMocap, CommandLong, FcStatus, Message, mavlink
@@ -37,12 +38,13 @@ def put_on_board(vehicle: SimulatedVehicle, reference: Reference, flight: int = 
     vehicle.power_cycle(flight)
 
 
-def fly(vehicle: SimulatedVehicle, *, until_s: float = 60.0) -> Session:
+def fly(vehicle: SimulatedVehicle, *, until_s: float = 60.0, key: StationKey | None = None) -> Session:
     """A whole flight: arm, start, until the vehicle is in standby again, or `until_s`."""
-    session, client, cameras = Session(), Client(), Codec(*CAMERAS)
+    session, client, cameras = Session(), Client(key), Codec(*CAMERAS)
     state, asked_us, asked = 0, 0, False
     while vehicle.now_us < until_s * 1e6:
         now_us = vehicle.run_until(min(client.next_deadline_us, vehicle.now_us + 100_000))
+        client.set_time(now_us)
         data = vehicle.serial_read()
         session.received += data
         for message in client.receive(data, now_us):

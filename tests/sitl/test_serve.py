@@ -399,6 +399,9 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
     [
         ("serial:/dev/null", None, "give pty, tcp:HOST:PORT or udp:HOST:PORT"),
         ("tcp:5760", None, "needs HOST:PORT"),
+        ("tcp::5760", None, "needs HOST:PORT"),
+        ("tcp:[]:5760", None, "needs HOST:PORT"),
+        ("udp:[]:5760", None, "needs HOST:PORT"),
         ("tcp:127.0.0.1:\N{SUPERSCRIPT TWO}", None, "needs HOST:PORT"),
         ("udp:127.0.0.1:notaport", None, "needs HOST:PORT"),
         ("pty", "http://127.0.0.1:9", "give it as udp://HOST:PORT"),

@@ -32,6 +32,7 @@ READY = ArmingState(
     active=frozenset(),
     battery=None,
     contradiction=None,
+    lacks_key=False,
 )
 
 

@@ -169,7 +169,7 @@ def test_swap_and_status_count_on_where_ticks_begin_anew(make_session, flown_blo
     session.run(0.2)
     status = session.received(m.FcStatus)[-1]
     assert (status.reference_tick, status.state) == ((at_us - wrap_us) // 1000, State.HOLD)
-    assert session.flight.unsendable == 0
+    assert session.flight.outbox.unsendable == 0
 
 
 def staged(session, blob):

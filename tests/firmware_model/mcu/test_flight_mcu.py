@@ -552,7 +552,7 @@ def test_nan_from_the_sensors_never_raises_and_ends_in_motors_off(make_session, 
     for _ in range(3_000):
         session.flight.tick(session.now_us, (math.nan,) * 3, (math.nan,) * 3, math.nan)
         session.now_us += 1_000
-    assert session.flight.unsendable > 0
+    assert session.flight.outbox.unsendable > 0
     assert session.flight.state is State.STANDBY
     assert max(session.flight.motor_command) == 0.0
 

@@ -288,7 +288,7 @@ def test_interval_without_end_is_bounded_by_what_an_answer_can_say(make_line):
         line.run(0.1)
     (answer,) = line.received(m.MessageInterval)
     assert (answer.message_id, answer.interval_us) == (m.Attitude.id, INTERVAL_MAX_US)
-    assert line.flight.unsendable == 0
+    assert line.flight.outbox.unsendable == 0
 
 
 def test_estimate_that_is_broken_ends_nothing(make_line):

@@ -7,6 +7,7 @@ import pytest
 
 from trimtab.firmware_model.storage.flash import Flash, PowerCut
 from trimtab.firmware_model.storage.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.protocol.upload import SIGNED_CHUNK_BYTES
 
 REF, FF = 1, 2
 
@@ -148,7 +149,7 @@ def test_memory_of_garbage_behind_a_right_beginning_boots_with_nothing_live_and_
     image = bytearray(random.Random(seed).randbytes(memory_bytes(1_000)))
     image[: len(MAGIC)] = MAGIC
     store = ReferenceStore(Flash(image), blob_bytes_max=1_000)
-    assert len(store.faults) == 5  # four banks and the parameters
+    assert len(store.faults) == 6  # four banks, the parameters and the signing key
     assert (store.live(REF), store.staged(REF), store.incoming()) == (None, None, None)
     store.stage(REF, b"one")
     store.commit(REF)
@@ -184,3 +185,22 @@ def test_clear_leaves_neither_the_live_blob_nor_the_one_before_it():
 def test_memory_of_another_size_is_refused():
     with pytest.raises(ValueError, match="the memory needs"):
         ReferenceStore(Flash.blank(8192))
+
+
+def test_upload_in_signed_chunks_is_resumed_with_its_chunk_size_after_a_power_cycle():
+    flash = Flash.blank(memory_bytes(1_000))
+    store = ReferenceStore(flash, blob_bytes_max=1_000)
+    blob = bytes(range(250)) * 4
+    store.begin(REF, len(blob), hashlib.sha256(blob).digest(), SIGNED_CHUNK_BYTES)
+    chunks = [blob[k : k + SIGNED_CHUNK_BYTES] for k in range(0, len(blob), SIGNED_CHUNK_BYTES)]
+    for index in (0, 2, 11):
+        store.put(REF, index, chunks[index])
+    again = ReferenceStore(Flash(bytearray(flash.image)), blob_bytes_max=1_000)
+    incoming = again.incoming()
+    assert incoming is not None
+    assert incoming.chunk_bytes == SIGNED_CHUNK_BYTES
+    assert [index for index, held in enumerate(incoming.held) if held] == [0, 2, 11]
+    for index, chunk in enumerate(chunks):
+        if not incoming.held[index]:
+            again.put(REF, index, chunk)
+    assert again.received(REF) == blob

@@ -160,6 +160,8 @@ def test_open_port_on_a_file_is_a_link_error(tmp_path: Path) -> None:
         "tcp://127.0.0.1:5",
         "udp://127.0.0.1",
         "udp://nowhere:x",
+        "udp://:5",
+        "udp://[]:5",
         "udp://nowhere:\N{SUPERSCRIPT TWO}",
         "udp://[::1:5",
     ],

@@ -11,6 +11,7 @@ import pytest
 from trimtab.host.base.errors import UsageError
 from trimtab.host.link import swap
 from trimtab.protocol.blobs import Kind, Reference
+from trimtab.protocol.signing import SigningKey
 from trimtab.protocol.upload import UploadSender
 from trimtab.sitl.studies import link, upload_flight, upload_picture
 from trimtab.sitl.studies.upload_blob import reference_blob
@@ -54,6 +55,18 @@ def test_upload_over_lossy_air_is_live_soon_after_the_bound() -> None:
     assert isinstance(found["mean_s"], float)
     assert bound < found["mean_s"] < 0.7
     assert rows == [time_upload("upload", SEED, number) for number in range(6)]
+
+
+def test_signed_upload_over_lossy_air_takes_at_most_a_fifth_longer() -> None:
+    key = SigningKey(bytes(range(1, 33)))
+    plain, signed = (
+        figures([time_upload("upload", SEED, number, key=one) for number in range(20)]) for one in (None, key)
+    )
+    assert (plain["failed"], signed["failed"]) == (0, 0)
+    assert isinstance(plain["mean_s"], float)
+    assert isinstance(signed["mean_s"], float)
+    print(f"unsigned {plain['mean_s']:.3f} s, signed {signed['mean_s']:.3f} s")
+    assert 1.0 < signed["mean_s"] / plain["mean_s"] <= 1.20
 
 
 def test_upload_over_clean_air_sends_every_chunk_once() -> None:
