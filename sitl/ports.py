@@ -13,7 +13,7 @@ from typing import Protocol
 
 from trimtab.host.base.errors import TrimtabError
 from trimtab.protocol.stream import MAGIC
-from trimtab.sitl.fair_share import READ_BYTES, FairShare, message_bytes
+from trimtab.sitl.fair_share import ACTIVE_US, READ_BYTES, FairShare, message_bytes
 
 _CLIENTS_MAX = 8
 _DATAGRAMS_MAX = 64  # read at once
@@ -157,8 +157,8 @@ class _Client:
 class _Tcp:
     """A listening socket for up to `_CLIENTS_MAX` clients. A further client replaces the most silent one.
 
-    A flying host sends a pose every few milliseconds, so it is never the one. Clients that have sent nothing
-    go first, in the order in which they connected.
+    Clients that have sent nothing go first, in the order in which they connected. Clients that have sent
+    something within ACTIVE_US stay, so a flying host does; if all have, the further client is refused.
     """
 
     def __init__(self, host: str, port: int) -> None:
@@ -199,6 +199,9 @@ class _Tcp:
             return
         if len(self._clients) >= _CLIENTS_MAX:
             silent = min(self._clients, key=lambda client: client.heard_us or 0)
+            if silent.heard_us is not None and wall_us() - silent.heard_us < ACTIVE_US:
+                connection.close()
+                return
             self._drop(lambda client: client is silent)
         self._clients.append(_Client(connection))
 

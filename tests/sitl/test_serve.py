@@ -174,33 +174,46 @@ def test_tcp_does_not_mix_the_messages_of_two_clients() -> None:
             assert read_exactly(slow.fileno(), 2 * size) == beat(3) + beat(2)
 
 
-def test_ninth_tcp_client_replaces_the_most_silent_one_and_not_the_one_that_flies() -> None:
-    with served(Echo(), "tcp:127.0.0.1:0") as (address, _), contextlib.ExitStack() as stack:
-        host, number = address.removeprefix("tcp:").split(":")
+def test_ninth_tcp_client_replaces_the_most_silent_one_and_not_one_that_sends(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    wall_us = [1]
+    monkeypatch.setattr(ports, "wall_us", lambda: wall_us[0])
+    line = ports.open_port("tcp:127.0.0.1:0")
+    with contextlib.closing(line), contextlib.ExitStack() as stack:
+        host, number = line.address.removeprefix("tcp:").split(":")
 
         def client() -> socket.socket:
-            return stack.enter_context(socket.create_connection((host, int(number))))
+            connected = stack.enter_context(socket.create_connection((host, int(number))))
+            line.receive()
+            return connected
 
-        def send(sender: socket.socket, system: int, listeners: list[socket.socket]) -> None:
+        def send(sender: socket.socket, system: int) -> None:
             sender.sendall(beat(system))
-            for each in listeners:
-                assert read_exactly(each.fileno(), len(beat(system))) == beat(system)
+            while line.read(4096) != beat(system):
+                line.receive()
+
+        def is_gone(each: socket.socket) -> bool:
+            each.settimeout(0.2)
+            try:
+                return each.recv(1) == b""
+            except TimeoutError:
+                return False
 
         flying = client()
-        send(flying, 1, [flying])
+        send(flying, 1)
         others = [client() for _ in range(7)]
-        send(others[0], 2, [flying, *others])
-        send(flying, 3, [flying, *others])
-        listening, *rest = others[1:]  # has sent nothing, and connected first of those
-        ninth = client()
-        assert listening.recv(1) == b""
-        send(ninth, 4, [flying, others[0], *rest, ninth])
-        for sender in rest:
-            send(sender, 5, [flying, others[0], *rest, ninth])
-        send(flying, 6, [flying, others[0], *rest, ninth])
+        send(others[0], 2)
+        ninth = client()  # others[1] has sent nothing, and connected first of those
+        assert [is_gone(each) for each in (flying, *others[:3], ninth)] == [False, False, True, False, False]
+        for sender in (*others[2:], ninth):
+            send(sender, 3)
+        assert is_gone(client())  # all have just sent something
+        wall_us[0] += 2_000_000
+        for sender in (flying, *others[2:], ninth):
+            send(sender, 4)
         tenth = client()
-        assert others[0].recv(1) == b""  # the first to speak of all, and silent since
-        send(tenth, 7, [flying, *rest, ninth, tenth])
+        assert [is_gone(each) for each in (flying, others[0], ninth, tenth)] == [False, True, False, False]
 
 
 @given(st.lists(st.one_of(st.binary(max_size=9), st.just(beat(9))), max_size=9), st.integers(0, 200))
