@@ -186,6 +186,15 @@ PARAMETERS: tuple[Parameter, ...] = (
     # Rejection of poses in flight.
     _row("EST_JUMP_M", 0.5, "m", 0.01, 100.0, "distance from the estimate beyond which a pose is refused"),
     _row("EST_JUMP_SPEED", 3.0, "m/s", 0.0, 100.0, "growth of EST_JUMP_M with the age of the last pose"),
+    _row(
+        "EST_CLASH",
+        8,
+        "",
+        0,
+        1000,
+        "rejected poses among accepted ones, within 0.25 s, after which no pose is used; 0 for never",
+        integer=True,
+    ),
     _row("EST_JUMP_DEG", 45.0, "deg", 1.0, 180.0, "angle from the estimate beyond which a pose is refused"),
     # The place of the local frame's origin on the globe, of which the vehicle itself makes no use.
     _row("ORIGIN_LAT_DEG", 47, "deg", -85, 85, "latitude of the origin, rounded down", integer=True),

@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.flight.poses import PoseInput
+from trimtab.firmware_model.flight.poses import ClashDetector, PoseInput
 from trimtab.firmware_model.flight.readiness import GyroCalibration
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
@@ -19,13 +19,15 @@ _KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
 class Estimate:
     """Sets the estimate in the engine's block `memory` and passes poses to the estimator.
 
-    `poses`: poses that wait for a tick. `calibration`: calibration of the gyro.
+    `poses`: poses that wait for a tick. `calibration`: calibration of the gyro. `clash`: whether poses of two
+    sources have arrived in this flight.
     """
 
     def __init__(self, inputs: Mapping[str, memoryview[float]], parameters: ParameterValues) -> None:
         self._parameters = parameters
         self.poses = PoseInput(inputs)
         self.calibration = GyroCalibration()
+        self.clash = ClashDetector()
         self._memory = inputs["memory"]
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
         self._feedforward = inputs["feedforward"]
@@ -52,12 +54,17 @@ class Estimate:
         """Queue a pose for the next tick; return False if it is rejected.
 
         In flight, a pose far from the estimate is rejected. Off the floor and in motion, a repetition of the
-        previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose.
+        previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose. Once
+        poses of two sources were detected, every pose is rejected: nobody knows which source is right.
         """
         repeats = self.poses.repeats(p, q)
-        if flying and (self._is_outlier(time_us, p, q, now_us) or (repeats and off_floor and self._moving())):
+        if not flying:
+            return self.poses.offer(time_us, p, q, now_us)
+        if repeats and off_floor and self._moving():
             return False
-        return self.poses.offer(time_us, p, q, now_us)
+        if self.clash.found:
+            return False
+        return not self._is_outlier(time_us, p, q, now_us) and self.poses.offer(time_us, p, q, now_us)
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
         """Put the oldest waiting pose into the engine's inputs; return False if it set the estimate instead.

@@ -194,7 +194,13 @@ class Flight:
             return False
         flying = self._flying
         off_floor = flying and self.height_m > CLEAR_HEIGHT
-        return self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
+        estimate = self._estimate
+        repeated = time_us == estimate.poses.newest_us
+        accepted = estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
+        count = round(self.parameters["EST_CLASH"])
+        if flying and not repeated and estimate.clash.update(accepted, now_us, count):
+            self._report(_CRITICAL, "poses of two sources: none is used")
+        return accepted
 
     def restart_estimate(self, now_us: int) -> None:
         """Forget all poses, in standby: the next pose sets the estimate."""
@@ -346,6 +352,7 @@ class Flight:
 
     def _arm(self) -> None:
         """Reset the results of the last flight and report a missing reference."""
+        self._estimate.clash.reset()
         self.failsafe = Failsafe.NONE
         self.tracking_us = None
         self._report(_INFO, "armed")

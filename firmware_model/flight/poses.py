@@ -12,6 +12,8 @@ AHEAD_US = 5_000
 DISTANCE_MAX = 1e4
 """Greatest distance from the origin, m."""
 QUEUE_SIZE = 4
+CLASH_US = 250_000
+"""Time within which EST_CLASH poses that contradict accepted ones show two sources of poses."""
 
 Pose = tuple[int, Sequence[float], Sequence[float]]
 """Time of measurement on the vehicle's clock (us), p (NED), q_ned_frd (w first, unit length)."""
@@ -92,3 +94,40 @@ class PoseInput:
     def hide(self) -> None:
         """Remove the pose from the engine's inputs: the estimator only predicts."""
         self._new[0] = 0.0
+
+
+class ClashDetector:
+    """Detects that poses come from two sources: rejected ones keep alternating with accepted ones.
+
+    A camera system that loses the vehicle sends wrong poses one after the other; two sources alternate.
+
+    Attributes
+    ----------
+    found
+        Whether two sources were detected, until `reset`.
+    """
+
+    def __init__(self) -> None:
+        self.found = False
+        self._clashes_us: deque[int] = deque()
+        self._accepted = False
+
+    def reset(self) -> None:
+        """Forget what was detected."""
+        self.found = False
+        self._clashes_us.clear()
+
+    def update(self, accepted: bool, now_us: int, count: int) -> bool:
+        """Take the verdict on a pose; return whether it shows two sources for the first time.
+
+        count: number of rejected poses after accepted ones, within CLASH_US, that shows them; 0 for never.
+        """
+        clash, self._accepted = self._accepted and not accepted, accepted
+        if not clash or not count or self.found:
+            return False
+        clashes = self._clashes_us
+        clashes.append(now_us)
+        while now_us - clashes[0] > CLASH_US:
+            clashes.popleft()
+        self.found = len(clashes) >= count
+        return self.found

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any, Protocol
 
 from trimtab.host.report import (
+    attack,
     calibrate,
     controller_tuning,
     correction,
@@ -37,6 +38,7 @@ class Reporter(Protocol):
 
 
 REPORTS: Mapping[str, Reporter] = {
+    "attack": attack,
     "blind": study,
     "calibrate": calibrate,
     "controller-tuning": controller_tuning,

@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -30,6 +31,9 @@ CRASH_M_S = 2.0
 """Sink rate just above the floor above which a landing counts as a crash."""
 FLOOR_M = 0.15
 FLOOD_HZ = 10_000
+SAMPLE_US = 10_000
+FALL_US = 1_500_000
+"""Time for which a vehicle is watched after a flight."""
 ALLOWED = ("land", "terminate")
 """Kinds that other stations may do by default."""
 STATIONS = {"stranger": ADDRESS, "owner": m.HOST}
@@ -111,9 +115,7 @@ def interfere(kind: str, address: str, *, signed: bool, seed: int) -> dict[str, 
 
 
 def _crashed(track: Track) -> bool:
-    sinks = (
-        100.0 * (b[2] - a[2]) for a, b in zip(track, track[1:], strict=False) if b[2] > -FLOOR_M
-    )  # a sample every 10 ms
+    sinks = (100.0 * (b[2] - a[2]) for a, b in pairwise(track) if b[2] > -FLOOR_M)  # samples every 10 ms
     return max(sinks, default=0.0) > CRASH_M_S
 
 
@@ -138,12 +140,21 @@ def _fly(
             log_path=Path(folder) / "flight.mcap",
             key=StationKey(key=KEY, name="study.key") if signed else None,
         )
+        ended: FlightResult | TrimtabError
         try:
-            return track, fly_lockstep(request, shared)
+            ended = fly_lockstep(request, shared)
         except FlightEnded as error:
-            return track, error.result
+            ended = error.result
         except TrimtabError as error:
-            return track, error
+            ended = error
+    for _ in range(FALL_US // SAMPLE_US):  # a vehicle whose motors were stopped in the air still falls
+        end_us = simulated.now_us + SAMPLE_US
+        while simulated.now_us < end_us:
+            simulated.run_until(end_us)
+            simulated.serial_read()
+            simulated.mocap_read()
+        track.append(simulated.true_position())
+    return track, ended
 
 
 def flood(seed: int) -> dict[str, Any]:

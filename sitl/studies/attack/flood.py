@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from random import Random
-from typing import Any
+from typing import Protocol
 
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.fair_share import FairShare
-from trimtab.sitl.studies.attack.stranger import ADDRESS, Lockstep
+from trimtab.sitl.studies.attack.stranger import ADDRESS, Lockstep, Wrapper
 
 STEP_US = 2 * TICK_US
 """Interval at which the port of a served vehicle lets data in."""
@@ -40,16 +40,22 @@ def _message(rng: Random, index: int) -> Message:
     return m.ParamRequestList(*m.VEHICLE)
 
 
-class FloodedVehicle:
-    """A vehicle whose port a host shares with a flood of `rate_hz` frames. Satisfies `host.link.Vehicle`.
+class Served(Lockstep, Protocol):
+    """A vehicle whose serial line can be served through a fair share, as in `sitl.serve`."""
+
+    def serial_room(self) -> int: ...
+
+
+class FloodedVehicle(Wrapper):
+    """A vehicle whose port a host shares with a flood of `rate_hz` frames.
 
     `sent`: number of frames of the flood.
     """
 
-    def __init__(self, vehicle: Lockstep, frames: Sequence[bytes], rate_hz: int) -> None:
+    def __init__(self, vehicle: Served, frames: Sequence[bytes], rate_hz: int) -> None:
+        super().__init__(vehicle)
         self.sent = 0
-        self.now_us = vehicle.now_us
-        self._vehicle: Any = vehicle
+        self._served = vehicle
         self._frames = frames
         self._rate_hz = rate_hz
         self._share = FairShare()
@@ -57,7 +63,7 @@ class FloodedVehicle:
 
     def run_until(self, t_us: int) -> int:
         """Run until `t_us`, until bytes wait for the host, or until the port's next step."""
-        vehicle = self._vehicle
+        vehicle = self._served
         if vehicle.now_us >= self._step_us:
             self._let_in(vehicle.now_us)
         self.now_us = vehicle.run_until(min(t_us, self._step_us))
@@ -72,9 +78,6 @@ class FloodedVehicle:
         while self.sent < now_us * self._rate_hz // 1_000_000:
             self._share.offer("flood", self._frames[self.sent % len(self._frames)], now_us)
             self.sent += 1
-        data = self._share.take(self._vehicle.serial_room(), now_us)
+        data = self._share.take(self._served.serial_room(), now_us)
         if data:
-            self._vehicle.serial_write(data)
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._vehicle, name)
+            self._served.serial_write(data)

@@ -213,13 +213,15 @@ def reordered(link: Link, count: int) -> Count:
 def delayed(link: Link, count: int) -> Count:
     """Hold frames of the owner back for DELAY_US while others arrive."""
     found, held = Count(), []
-    for number in range(2 * count):
+    number = 0
+    while found.trials < count:
         _, frame = link.genuine()
+        number += 1
         if number % 2:
             held.append((link.now_us + DELAY_US, frame))
         else:
             found.lockouts += not link.accepts(frame)
-        while held and held[0][0] <= link.now_us:
+        if held and held[0][0] <= link.now_us:
             found.trials += 1
             found.accepted += link.accepts(held.pop(0)[1])
     return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Any, Protocol
+from typing import Protocol
 
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
@@ -93,12 +93,40 @@ class Stranger:
         return b"".join(self._codec.encode(message) for message in self._act(self))
 
 
-class SharedVehicle:
-    """A vehicle whose port the host shares with a stranger. Satisfies `host.link.Vehicle`."""
+class Wrapper:
+    """A vehicle around another one; both satisfy `host.link.Vehicle`."""
 
-    def __init__(self, vehicle: Lockstep, stranger: Stranger) -> None:
+    def __init__(self, vehicle: Lockstep) -> None:
         self.now_us = vehicle.now_us
         self._vehicle = vehicle
+
+    def run_until(self, t_us: int) -> int:
+        """Run until `t_us`, or until bytes or poses wait for the host."""
+        self.now_us = self._vehicle.run_until(t_us)
+        return self.now_us
+
+    def serial_read(self) -> bytes:
+        return self._vehicle.serial_read()
+
+    def serial_write(self, data: bytes) -> None:
+        self._vehicle.serial_write(data)
+
+    def mocap_read(self) -> list[bytes]:
+        return self._vehicle.mocap_read()
+
+    def power_cycle(self, flight: int) -> None:
+        self._vehicle.power_cycle(flight)
+        self.now_us = self._vehicle.now_us
+
+    def close(self) -> None:
+        self._vehicle.close()
+
+
+class SharedVehicle(Wrapper):
+    """A vehicle whose port the host shares with a stranger."""
+
+    def __init__(self, vehicle: Lockstep, stranger: Stranger) -> None:
+        super().__init__(vehicle)
         self._stranger = stranger
 
     def run_until(self, t_us: int) -> int:
@@ -117,9 +145,5 @@ class SharedVehicle:
         return data
 
     def power_cycle(self, flight: int) -> None:
-        self._vehicle.power_cycle(flight)
-        self.now_us = self._vehicle.now_us
+        super().power_cycle(flight)
         self._stranger.due_us = 0
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._vehicle, name)

@@ -374,3 +374,44 @@ def test_parameters_of_the_law_are_the_tables(make_rig):
     vector = dict(zip(law.PARAMETERS, rig.flight._law_parameters, strict=True))
     assert vector["POS_P_N"] == 3.5
     assert set(law.SOURCES) <= set(DEFAULTS)
+
+
+def test_poses_of_two_sources_in_flight_are_both_refused_and_the_vehicle_descends(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.run(0.5)
+    for k in range(40):
+        rig.run(0.005)
+        x, y, z = rig.body.p
+        if k % 2:  # beside the true ones, which are older
+            rig.flight.pose(rig.now_us, (x + 0.3, y, z), rig.body.quaternion(), rig.now_us)
+    assert "poses of two sources: none is used" in rig.texts
+    rig.run(20.0, until=State.STANDBY)
+    assert State.FAILSAFE in rig.seen
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+
+
+@pytest.mark.parametrize("wrong", [range(30, 45), range(0, 100, 9)])
+def test_wrong_poses_one_after_the_other_or_now_and_then_are_no_second_source(make_rig, wrong):
+    rig = make_rig()
+    rig.track()
+    rig.run(0.3)
+    rig.mocap = False
+    for k in range(100):
+        rig.run(0.010)
+        x, y, z = rig.body.p
+        away = 3.0 if k in wrong else 0.0
+        rig.flight.pose(rig.now_us, (x + away, y, z), rig.body.quaternion(), rig.now_us)
+    assert not any("two sources" in text for text in rig.texts)
+    assert rig.flight.state is not State.FAILSAFE
+
+
+def test_detection_of_two_sources_can_be_switched_off(make_rig):
+    rig = make_rig(parameters={"EST_CLASH": 0.0})
+    rig.track()
+    for k in range(40):
+        rig.run(0.005)
+        x, y, z = rig.body.p
+        if k % 2:
+            rig.flight.pose(rig.now_us, (x + 3.0, y, z), rig.body.quaternion(), rig.now_us)
+    assert not any("two sources" in text for text in rig.texts)
