@@ -197,7 +197,7 @@ def _is_takeover(row: Row) -> bool:
 
 
 def _is_false_sender(row: Row) -> bool:
-    """Return whether the stranger used the owner's address without signing, and more than OWN_OTHERS allows."""
+    """Return whether a stranger used the owner's address unsigned, beyond what OWN_OTHERS allows."""
     return row["address"] == "owner" and not row["signed"] and not _is_allowed(row)
 
 
