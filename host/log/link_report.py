@@ -64,7 +64,7 @@ def _radios(flight: Flight) -> dict[str, Any]:
     report: dict[str, Any] = {}
     for way in ("up", "down"):
         sent = None if radios is None else radios[f"{way}_sent"]
-        # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.
+        # Accurate to a few frames: a frame in the air looks like a loss.
         lost = None if radios is None or sent is None else max(0, sent - radios[f"{way}_received"])
         share = lost / sent if sent and lost is not None else None
         report |= {f"{way}_sent": sent, f"{way}_lost": lost, f"{way}_lost_share": share}
