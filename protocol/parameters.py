@@ -240,6 +240,9 @@ BY_NAME: Mapping[str, Parameter] = _index(PARAMETERS)
 INDEX: Mapping[str, int] = MappingProxyType({row.name: index for index, row in enumerate(PARAMETERS)})
 """Index of each name in the table: param_index of PARAM_VALUE."""
 
+ORIGIN = frozenset({"ORIGIN_LAT_DEG", "ORIGIN_LAT_E7", "ORIGIN_LON_DEG", "ORIGIN_LON_E7", "ORIGIN_ALT"})
+"""Names of the parameters that place the local frame on the globe."""
+
 DEFAULTS: Mapping[str, float] = MappingProxyType({row.name: row.default for row in PARAMETERS})
 """Default of each parameter, in the order of the table."""
 
@@ -260,10 +263,13 @@ def differences(
 ) -> dict[str, tuple[float, float]]:
     """Return (expected, on board) of each parameter of `expected` that differs after rounding to float32.
 
-    The value on board is NaN if `on_board` lacks the parameter.
+    The value on board is NaN if `on_board` lacks the parameter. The place of the origin is left out: it is
+    the user's, and no flight depends on it.
     """
     pairs = {}
     for name, value in expected.items():
+        if name in ORIGIN:
+            continue
         board_value = on_board.get(name, math.nan)
         if math.isnan(board_value) or not equal(value, board_value):
             pairs[name] = (value, board_value)

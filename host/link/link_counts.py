@@ -30,7 +30,7 @@ class LinkCounts:
         """Return frames sent, received and lost: of both radios if they report, else the host's messages."""
         radios = self.radios()
         if radios is not None:
-            # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.
+            # Accurate to a few frames: a frame in the air looks like a loss.
             lost = max(0, radios.up_sent - radios.up_received)
             lost += max(0, radios.down_sent - radios.down_received)
             return radios.up_sent + radios.down_sent, radios.up_received + radios.down_received, lost

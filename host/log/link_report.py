@@ -64,7 +64,7 @@ def _radios(flight: Flight) -> dict[str, Any]:
     report: dict[str, Any] = {}
     for way in ("up", "down"):
         sent = None if radios is None else radios[f"{way}_sent"]
-        # Accurate to a few frames: a duplicate hides a loss, and a frame in the air looks like one.
+        # Accurate to a few frames: a frame in the air looks like a loss.
         lost = None if radios is None or sent is None else max(0, sent - radios[f"{way}_received"])
         share = lost / sent if sent and lost is not None else None
         report |= {f"{way}_sent": sent, f"{way}_lost": lost, f"{way}_lost_share": share}
@@ -118,6 +118,7 @@ def _poses(flight: Flight) -> dict[str, Any]:
     estimate, status, mocap = flight.estimate, flight.status, flight.mocap
     if flight.tracking is not None:
         start_us, end_us = flight.tracking
+        oldest_ms = 0.0
         if estimate is not None:
             keep = (estimate.t_us >= start_us) & (estimate.t_us <= end_us)
             if keep.any():
@@ -125,12 +126,12 @@ def _poses(flight: Flight) -> dict[str, Any]:
                 report["mocap_age_ms_p50"], report["mocap_age_ms_p99"] = np.percentile(
                     ages_ms, (50.0, 99.0)
                 ).tolist()
+                oldest_ms = float(ages_ms.max())
         if status is not None:
-            # A status covers the time since the previous one.
+            # A status covers the time since the previous one, which may have been lost.
             ages_us = status.mocap_age_max_us[(status.t_us > start_us) & (status.t_us <= end_us)]
-            report["mocap_age_ms_max"] = (
-                float(ages_us.max()) * 1e-3 if len(ages_us) and ages_us.max() else None
-            )
+            if len(ages_us) and ages_us.max():
+                report["mocap_age_ms_max"] = max(float(ages_us.max()) * 1e-3, oldest_ms)
     if status is not None and mocap is not None and len(status.t_us) > 1:
         # Poses in transit at both ends cancel, except for a few that arrive late.
         sent = np.count_nonzero((mocap.t_us > status.t_us[0]) & (mocap.t_us <= status.t_us[-1]))

@@ -51,6 +51,12 @@ def test_a_parameter_missing_on_board_is_a_difference() -> None:
     assert math.isnan(other)
 
 
+def test_place_of_the_origin_is_no_difference_of_the_vehicle() -> None:
+    elsewhere = {**DEFAULTS, "ORIGIN_LAT_DEG": -33.0, "ORIGIN_LON_E7": 1.0, "ORIGIN_ALT": 12.0}
+    assert set(elsewhere) >= parameters.ORIGIN
+    assert parameters.differences(DEFAULTS, elsewhere) == {}
+
+
 def test_complete_fills_defaults_in_the_table_order() -> None:
     values = parameters.complete({"HOLD_S": 2.5})
     assert list(values) == [row.name for row in PARAMETERS]

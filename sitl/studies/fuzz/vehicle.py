@@ -30,6 +30,7 @@ from trimtab.sitl.studies.fuzz.source import Source
 
 LONGEST = 1_600
 """Greatest size of an input. With FLUSH it fits the receive buffer, so that no byte is lost."""
+_PARAMETER_SETTERS = {"PARAM_SET", "SET_GPS_GLOBAL_ORIGIN"}
 _COMMANDS = ("COMMAND_LONG", "COMMAND_INT")
 
 
@@ -37,10 +38,6 @@ _STATE = ("state", "failsafe", "action", "rotors", "parameters", "live reference
           "live feed-forward", "staged feed-forward", "the law's inputs")  # fmt: skip
 _PARAMETERS, _ROTORS = 4, 3
 _LIVE, _STAGED = (5, 7), (6, 8)
-
-
-_SETTERS = {"PARAM_SET", "SET_GPS_GLOBAL_ORIGIN"}
-"""Messages that set parameters."""
 
 
 class VehicleTarget:
@@ -190,8 +187,8 @@ class VehicleTarget:
         self._asked = self._asked or any(_commits(one) for one in found)
         self._armed = self._armed or not kinds.isdisjoint(_COMMANDS)
         if before[_PARAMETERS] != after[_PARAMETERS]:
-            if kinds.isdisjoint(_SETTERS):
-                raise Broken("a parameter changed without PARAM_SET")
+            if kinds.isdisjoint(_PARAMETER_SETTERS):
+                raise Broken("a parameter changed without a message that sets it")
             if before[0] is not State.STANDBY:
                 raise Broken(f"a parameter changed in {before[0].name}")
         for live, staged in zip(_LIVE, _STAGED, strict=True):
