@@ -8,6 +8,7 @@ from typing import Any
 
 import pytest
 
+from tests.sitl.studies.attack.made_up import made_up_rows
 from trimtab.protocol.signing import SIMULATED_EPOCH, Verdict, Verifier
 from trimtab.sitl.studies.attack import frames
 from trimtab.sitl.studies.attack.mutants import MUTANTS
@@ -53,41 +54,6 @@ def test_no_climbing_path_opens_a_file() -> None:
     assert any(climbing_path(rng).removeprefix("/") in FILES for _ in range(5000))  # some do exist
 
 
-def _rows(**changes: Any) -> dict[str, list[dict[str, Any]]]:
-    flight = {
-        "kind": "hold",
-        "address": "stranger",
-        "signed": False,
-        "flown": True,
-        "takeover": None,
-        "departed_m": 0.0,
-        "crashed": False,
-        "error": None,
-        "changed": False,
-        "misreported": False,
-    }
-    return {
-        "frames": [{"kind": "content", "trials": 10, "accepted": 0, "lockouts": 0}],
-        "mutant": [{"mutant": "no replay window", "caught_by": {"replayed": {}}}],
-        "flight": [flight | changes],
-        "flood": [
-            {
-                "seed": 1,
-                "quiet_rmse_m": 0.01,
-                "flooded_rmse_m": 0.011,
-                "quiet_whole": True,
-                "flooded_whole": True,
-                "quiet_failsafe": None,
-                "flooded_failsafe": None,
-            }
-        ],
-        "paths": [{"paths": 5, "opened": []}],
-        "crowd": [
-            {"crowd": "nine clients", "flown": True, "failsafe": None, "error": None, "tracking_rmse_m": 0.01}
-        ],
-    }
-
-
 @pytest.mark.parametrize(
     ("changes", "takeovers", "misreported", "crashes"),
     [
@@ -104,7 +70,7 @@ def _rows(**changes: Any) -> dict[str, list[dict[str, Any]]]:
 def test_answer_counts_what_a_stranger_changed(
     changes: dict[str, Any], takeovers: int, misreported: int, crashes: int
 ) -> None:
-    answer = summary({"seed": 1, "quick": True, "folder": "."}, _rows(**changes))["answer"]
+    answer = summary({"seed": 1, "quick": True, "folder": "."}, made_up_rows(**changes))["answer"]
     counted = (answer["takeovers"], answer["misreported"], answer["crashes"])
     assert counted == (takeovers, misreported, crashes)
     assert (answer["mutants_caught"], answer["mutants"]) == (1, 1)
@@ -112,7 +78,7 @@ def test_answer_counts_what_a_stranger_changed(
 
 
 def test_flood_that_ended_a_flight_gives_no_ratio() -> None:
-    rows = _rows()
+    rows = made_up_rows()
     rows["flood"][0] |= {"flooded_whole": False, "flooded_rmse_m": None, "flooded_failsafe": "mocap-lost"}
     answer = summary({"seed": 1, "quick": True, "folder": "."}, rows)["answer"]
     assert (answer["flood_ratio_max"], answer["flood_landings"]) == (None, 1)
