@@ -17,8 +17,8 @@ FREE = (m.SetPositionTarget, m.SetAttitudeTarget, m.UploadChunk, m.FileTransfer)
 """Messages that are not counted, except in flight from others: uploads and setpoints come at high rates."""
 
 
-LIST_COST = RATE_HZ
-"""Messages that a request of all parameters counts for, because it has many answers."""
+LIST_COST = round(OTHERS_HZ * BURST_S)
+"""Messages that a request of all parameters counts for, because it has many answers. No bucket holds less."""
 
 
 class TokenBucket:

@@ -191,6 +191,7 @@ def test_mavsdk_cannot_sign_and_is_told_why_it_may_not_command(
 
     vehicle = connect(f"udpout://{serve_with_key()}")
     assert vehicle.param.get_param_float("HOLD_S") == 1.0
+    assert len(vehicle.param.get_all_params().float_params) > 90
     with pytest.raises(ActionError, match="TIMEOUT"):
         vehicle.action.arm()
     vehicle.until(lambda: "signed messages only: give this station the key" in vehicle.texts)

@@ -49,6 +49,11 @@ def test_lists_of_parameters_count_for_their_answers():
     assert lists == pytest.approx(RATE_HZ * (10 + BURST_S) / LIST_COST, abs=1)
 
 
+def test_station_without_a_part_in_the_flight_may_ask_for_all_parameters():
+    intake = Intake()
+    assert intake.admit(sent_by((77, 1), m.ParamRequestList(1, 1)), 0, other=True)
+
+
 def test_many_stations_cost_little_memory():
     intake = Intake()
     for system in range(1, 250):
