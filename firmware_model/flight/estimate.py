@@ -13,6 +13,8 @@ from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
 
 STILL = 1e-3
 """Speed (m/s) and body rate (rad/s) below which two identical poses in succession are plausible."""
+CLASH_M = 0.05
+"""Distance from the estimate above which a rejected pose may come from another source."""
 _KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
 
 
@@ -103,14 +105,24 @@ class Estimate:
         bias = self._memory[law.EST_BIAS]
         return math.hypot(*(g - b for g, b in zip(self._gyro, bias, strict=True)))
 
+    def contradicts(self, time_us: int, p: Sequence[float], now_us: int) -> bool:
+        """Return whether a rejected pose is far from the estimate at its time. A repeated one is not."""
+        return not self._distance(time_us, p, now_us) <= CLASH_M
+
+    def _distance(self, time_us: int, p: Sequence[float], now_us: int) -> float:
+        """Return the distance (m) of a pose from the estimate at its time; NaN if it is not finite."""
+        px, py, pz, vx, vy, vz = self._memory[_KNOWN][:6]
+        age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
+        x, y, z = p
+        return math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s)
+
     def _is_outlier(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Return whether the pose is not finite or far from the estimate at its time."""
-        px, py, pz, vx, vy, vz, qw, qx, qy, qz = self._memory[_KNOWN]
+        qw, qx, qy, qz = self._memory[_KNOWN][6:]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
         values = self._parameters
         jump_m = values["EST_JUMP_M"] + values["EST_JUMP_SPEED"] * 1e-6 * (time_us - self.poses.newest_us)
-        x, y, z = p
-        near = math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s) <= jump_m
+        near = self._distance(time_us, p, now_us) <= jump_m
         w, x, y, z = q
         along, length = abs(w * qw + x * qx + y * qy + z * qz), math.hypot(w, x, y, z)
         jump = math.radians(values["EST_JUMP_DEG"])

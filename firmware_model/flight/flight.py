@@ -195,10 +195,9 @@ class Flight:
         flying = self._flying
         off_floor = flying and self.height_m > CLEAR_HEIGHT
         estimate = self._estimate
-        repeated = time_us == estimate.poses.newest_us
         accepted = estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
-        count = round(self.parameters["EST_CLASH"])
-        if flying and not repeated and estimate.clash.update(accepted, now_us, count):
+        counts = flying and (accepted or estimate.contradicts(time_us, p, now_us))
+        if counts and estimate.clash.update(accepted, now_us, round(self.parameters["EST_CLASH"])):
             self._report(_CRITICAL, "poses of two sources: none is used")
         return accepted
 

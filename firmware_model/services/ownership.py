@@ -73,10 +73,7 @@ class Ownership:
     def admit(self, station: Station, what: str) -> bool:
         """Return `may_act`, and report a refusal once for each station and kind of message `what`."""
         owner = self.owner
-        if owner is None:
-            self._reported.clear()
-            return True
-        if station == owner:
+        if owner in (None, station):
             return True
         if (station, what) not in self._reported and len(self._reported) < REPORTS_MAX:
             self._reported.add((station, what))
@@ -129,6 +126,7 @@ class Ownership:
 
     def _arming_refusal(self, station: Station, now_us: int) -> str | None:
         """Return why this station may not arm: its poses are not in use, or there are two sources."""
+        self._reported.clear()
         source = self._pose_source
         senders = [other for other in self._pose_us if self._sends_poses(other, now_us)]
         if station in senders and source != station:

@@ -406,6 +406,17 @@ def test_wrong_poses_one_after_the_other_or_now_and_then_are_no_second_source(ma
     assert rig.flight.state is not State.FAILSAFE
 
 
+def test_same_poses_forwarded_twice_are_no_second_source(make_rig):
+    rig = make_rig()
+    rig.track()
+    rig.mocap = False
+    for _ in range(100):
+        rig.run(0.010)
+        for ahead_us in (0, -40):  # two forwarders compare clocks a little differently
+            rig.flight.pose(rig.now_us + ahead_us, tuple(rig.body.p), rig.body.quaternion(), rig.now_us)
+    assert not any("two sources" in text for text in rig.texts)
+
+
 def test_detection_of_two_sources_can_be_switched_off(make_rig):
     rig = make_rig(parameters={"EST_CLASH": 0.0})
     rig.track()
