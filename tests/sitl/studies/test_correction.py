@@ -89,7 +89,7 @@ def test_no_world_is_refused(tmp_path: Path) -> None:
 def test_study_flies_corrections_and_resumes(tmp_path: Path, short_programme: Programme) -> None:
     def run() -> dict[str, Any]:
         return correction.run(
-            folder=tmp_path, seed=9101, vehicle="research", jobs=1, quick=True, programme=short_programme
+            folder=tmp_path, seed=9102, vehicle="research", jobs=1, quick=True, programme=short_programme
         )
 
     first = run()
