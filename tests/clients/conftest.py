@@ -157,7 +157,7 @@ class Station:
         self.texts: list[str] = []
         self.track: list[tuple[float, float, float]] = []
         self.armed = False
-        self.radio_stats: dict[int, list[RadioStats]] = {}
+        self.radio_stats: dict[int, list[tuple[float, RadioStats]]] = {}
         self._said_s = 0.0
         self.link.message_hooks.append(self._note)
 
@@ -166,7 +166,7 @@ class Station:
         if kind == f"UNKNOWN_{RadioStats.id}":
             stats = decode_message(bytes(message.get_msgbuf()))
             assert isinstance(stats, RadioStats)
-            self.radio_stats.setdefault(stats.get_srcSystem(), []).append(stats)
+            self.radio_stats.setdefault(stats.get_srcSystem(), []).append((time.monotonic(), stats))
         if message.get_srcSystem() != 1:
             return
         if kind == "STATUSTEXT":
@@ -258,7 +258,9 @@ class Station:
 
     def downlink_loss(self) -> float:
         """Share of the frames from the vehicle's radio to the ground radio that was lost, of all so far."""
-        sent, received = (self.radio_stats[system][-1] for system in (VEHICLE_RADIO[0], HOST_RADIO[0]))
+        came_s, sent = self.radio_stats[VEHICLE_RADIO[0]][-1]
+        # Both radios report at the same second; the vehicle's report may be lost.
+        _, received = min(self.radio_stats[HOST_RADIO[0]], key=lambda row: abs(row[0] - came_s))
         return 1.0 - received.frames_received / sent.frames_sent
 
     def close(self) -> None:
