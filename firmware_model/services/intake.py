@@ -16,9 +16,11 @@ STATIONS_MAX = 16
 FREE = (m.SetPositionTarget, m.SetAttitudeTarget, m.UploadChunk, m.FileTransfer)
 """Messages that are not counted, except in flight from others: uploads and setpoints come at high rates."""
 
+LIST_COST = OTHERS_HZ
+"""Messages that a request of all parameters counts for, because it has many answers.
 
-LIST_COST = round(OTHERS_HZ * BURST_S)
-"""Messages that a request of all parameters counts for, because it has many answers. No bucket holds less."""
+It is half of what the smallest bucket holds, so a station that has just connected may ask.
+"""
 
 
 class TokenBucket:

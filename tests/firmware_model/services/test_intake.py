@@ -51,7 +51,8 @@ def test_lists_of_parameters_count_for_their_answers():
 
 def test_station_without_a_part_in_the_flight_may_ask_for_all_parameters():
     intake = Intake()
-    assert intake.admit(sent_by((77, 1), m.ParamRequestList(1, 1)), 0, other=True)
+    assert admitted(intake, (77, 1), 0.02, other=True) == 20  # what a client asks first
+    assert intake.admit(sent_by((77, 1), m.ParamRequestList(1, 1)), 20_000, other=True)
 
 
 def test_many_stations_cost_little_memory():
