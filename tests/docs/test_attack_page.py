@@ -8,6 +8,7 @@ import pytest
 from generators.attack import page
 
 from tests.sitl.studies.attack.made_up import made_up_rows
+from trimtab.host.report import attack
 from trimtab.sitl.studies.attack.study import summary
 
 PROVENANCE = {"command": "trimtab study attack --seed 12", "git": "0123456789ab"}
@@ -35,3 +36,12 @@ def test_page_begins_with_the_figures_and_says_seed_commit_and_limits(report: di
     assert "development figures" not in text
     assert "development figures" in page({**report, "quick": True})
     assert max(len(line) for line in text.splitlines() if not line.startswith("|")) <= 120
+
+
+@pytest.mark.parametrize("quick", [False, True])
+def test_report_holds_title_and_tables(quick: bool) -> None:
+    outcome = summary({"seed": 12, "quick": quick, "folder": "study"}, made_up_rows())
+    html = attack.page(outcome, {}, PROVENANCE)
+    assert ("quick check" in html) is quick
+    assert "seed 12" in html
+    assert all(title in html for title in outcome["tables"])
