@@ -153,6 +153,8 @@ class FramePacker:
         poses = self._poses
         poses.append(message)
         self.waiting += 1
+        if len(poses) == 1:
+            return
         sender = message[5:7]
         own = [pose for pose in poses if pose[5:7] == sender]
         if len(own) > self._poses_max:

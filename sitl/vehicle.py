@@ -163,7 +163,7 @@ class SimulatedVehicle:
 
     def serial_room(self) -> int:
         """Return how many bytes to write at most, so that no more than HOST_WAITING_BYTES wait."""
-        waiting = HOST_TX_BYTES - self._host_port.tx_free(self.now_us)
+        waiting = HOST_TX_BYTES - self._host_port.tx_free(self.now_us - self._booted_us)
         return max(0, HOST_WAITING_BYTES - waiting)
 
     def mocap_read(self) -> list[bytes]:

@@ -79,14 +79,16 @@ class SigningService:
 
     def receive(self, data: bytes, now_us: int) -> list[Message]:
         """Return the accepted messages that `data` completes. Their timestamps are in memory."""
+        verifier = self._codec.verifier
+        if verifier is None:
+            self._now_us = now_us
+            return self._codec.decode(data)
         self.advance(now_us)
         messages = self._codec.decode(data)
-        verifier = self._codec.verifier
-        if verifier is not None:
-            self._store.reserve(verifier.newest)
-            for verdict, _ in self._codec.refused:
-                if verdict in TEXTS:
-                    self._warn(TEXTS[verdict])
+        self._store.reserve(verifier.newest)
+        for verdict, _ in self._codec.refused:
+            if verdict in TEXTS:
+                self._warn(TEXTS[verdict])
         return messages
 
     def advance(self, now_us: int) -> None:

@@ -155,7 +155,7 @@ def climb(count: int, seed: int) -> dict[str, Any]:
                     answer = Packet.decode(bytes(message.payload))
                     answered += 1
                     path = sent.get((answer.number - 1) & 0xFFFF, "")
-                    name = path.partition("\0")[0].removeprefix("/")
+                    name = path.partition("\0")[0].lstrip("/")
                     if answer.opcode == Opcode.ACK and name not in FILES:
                         opened.append(path)
             vehicle.mocap_read()
