@@ -19,6 +19,7 @@ from trimtab.host.link.summary import FlightResult
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Node, Reference, YawNode
+from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.studies.attack.flood import FloodedVehicle, flood_frames
 from trimtab.sitl.studies.attack.frames import KEY
 from trimtab.sitl.studies.attack.interference import KINDS
@@ -122,17 +123,22 @@ def _crashed(track: Track) -> bool:
 def _fly(
     act: Callable[[Stranger], Any], address: tuple[int, int], *, signed: bool, seed: int
 ) -> tuple[Track, FlightResult | TrimtabError]:
-    """Return the true positions every 10 ms from arming on, and the result or the error of the flight."""
+    """Return the true positions every 10 ms, and the result or the error of the flight.
+
+    The positions begin with the reference, or with arming if it was not flown: a lost command delays a flight
+    without changing it.
+    """
     vehicle = load_vehicle("research")
     simulated = SimulatedVehicle.create(vehicle, flight=seed, key=KEY if signed else None)
-    track: Track = []
+    samples: list[tuple[int, tuple[float, float, float]]] = []
 
     def watch(stranger: Stranger) -> Any:
-        if stranger.state > m.mavlink.TRIMTAB_STATE_STANDBY or track:
-            track.append(simulated.true_position())
+        if stranger.state > m.mavlink.TRIMTAB_STATE_STANDBY or samples:
+            samples.append((stranger.now_us, simulated.true_position()))
         return act(stranger)
 
-    shared = SharedVehicle(simulated, Stranger(watch, address))
+    stranger = Stranger(watch, address)
+    shared = SharedVehicle(simulated, stranger)
     with tempfile.TemporaryDirectory() as folder:
         request = FlightRequest(
             vehicle=vehicle,
@@ -153,8 +159,11 @@ def _fly(
             simulated.run_until(end_us)
             simulated.serial_read()
             simulated.mocap_read()
-        track.append(simulated.true_position())
-    return track, ended
+        samples.append((simulated.now_us, simulated.true_position()))
+    status = stranger.status
+    flown = status is not None and status.reference_tick != m.NO_TICK
+    start_us = TICK_US * status.reference_tick if status is not None and flown else 0
+    return [position for t_us, position in samples if t_us >= start_us], ended
 
 
 def flood(seed: int) -> dict[str, Any]:
