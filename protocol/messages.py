@@ -13,6 +13,8 @@ from trimtab.protocol.generated.frames import DIALECT_VERSION
 from trimtab.protocol.stream import SIGNED_FLAG
 
 Message = mavlink.MAVLink_message
+Station = tuple[int, int]
+"""MAVLink system and component of a sender of messages."""
 
 Heartbeat = mavlink.MAVLink_heartbeat_message
 Ping = mavlink.MAVLink_ping_message
@@ -157,7 +159,12 @@ def host_heartbeat() -> Heartbeat:
     return Heartbeat(mavlink.MAV_TYPE_GCS, mavlink.MAV_AUTOPILOT_INVALID, mode, _identification(), status, 3)
 
 
-def sender_of(message: Message) -> tuple[int, int]:
+def station_name(station: Station) -> str:
+    """Return system and component of a station as a text."""
+    return "{}:{}".format(*station)
+
+
+def sender_of(message: Message) -> Station:
     """Return system and component of the sender of a message."""
     return message.get_srcSystem(), message.get_srcComponent()
 

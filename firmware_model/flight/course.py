@@ -5,9 +5,7 @@ from __future__ import annotations
 from enum import IntEnum
 
 from trimtab.firmware_model.flight.supervisor import COMMANDS, Event, State
-
-Station = tuple[int, int]
-"""MAVLink system and component of a ground station."""
+from trimtab.protocol.messages import Station
 
 
 class Tracking(IntEnum):
@@ -53,8 +51,3 @@ class Course:
             self.tracking = Tracking.COMPLETE
         elif self.tracking is Tracking.RUNNING:
             self.tracking = Tracking.INTERRUPTED
-
-
-def station_name(station: Station) -> str:
-    """Return system and component of a station as a text."""
-    return "{}:{}".format(*station)

@@ -39,10 +39,6 @@ class Estimate:
         for k, value in enumerate(law.initial_memory()):
             self._memory[k] = value
 
-    def restart(self) -> None:
-        """Forget all poses: the next one sets the estimate."""
-        self.poses.restart()
-
     def offer(
         self,
         time_us: int,
@@ -62,11 +58,14 @@ class Estimate:
         repeats = self.poses.repeats(p, q)
         if not flying:
             return self.poses.offer(time_us, p, q, now_us)
-        if repeats and off_floor and self._moving():
-            return False
-        if self.clash.found:
-            return False
-        return not self._is_outlier(time_us, p, q, now_us) and self.poses.offer(time_us, p, q, now_us)
+        frozen = repeats and off_floor and self._moving()
+        accepted = not (
+            frozen or self.clash.found or self._is_outlier(time_us, p, q, now_us)
+        ) and self.poses.offer(time_us, p, q, now_us)
+        # A rejected pose near the estimate contradicts nothing: it was repeated, or forwarded twice.
+        if accepted or not self._distance(time_us, p, now_us) <= CLASH_M:
+            self.clash.update(accepted, now_us, round(self._parameters["EST_CLASH"]))
+        return accepted
 
     def take_pose(self, now_us: int, restart_us: int | None) -> bool:
         """Put the oldest waiting pose into the engine's inputs; return False if it set the estimate instead.
@@ -104,10 +103,6 @@ class Estimate:
     def _rate(self) -> float:
         bias = self._memory[law.EST_BIAS]
         return math.hypot(*(g - b for g, b in zip(self._gyro, bias, strict=True)))
-
-    def contradicts(self, time_us: int, p: Sequence[float], now_us: int) -> bool:
-        """Return whether a rejected pose is far from the estimate at its time. A repeated one is not."""
-        return not self._distance(time_us, p, now_us) <= CLASH_M
 
     def _distance(self, time_us: int, p: Sequence[float], now_us: int) -> float:
         """Return the distance (m) of a pose from the estimate at its time; NaN if it is not finite."""

@@ -11,7 +11,7 @@ from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation
-from trimtab.firmware_model.flight.course import Course, Station, station_name
+from trimtab.firmware_model.flight.course import Course
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
@@ -26,6 +26,7 @@ from trimtab.firmware_model.flight.track import Track
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
+from trimtab.protocol.messages import Station, station_name
 
 BOOT_US = 200_000
 """Time from power to standby."""
@@ -194,16 +195,16 @@ class Flight:
             return False
         flying = self._flying
         off_floor = flying and self.height_m > CLEAR_HEIGHT
-        estimate = self._estimate
-        accepted = estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
-        counts = flying and (accepted or estimate.contradicts(time_us, p, now_us))
-        if counts and estimate.clash.update(accepted, now_us, round(self.parameters["EST_CLASH"])):
+        clash = self._estimate.clash
+        known = clash.found
+        accepted = self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
+        if clash.found and not known:
             self._report(_CRITICAL, "poses of two sources: none is used")
         return accepted
 
     def restart_estimate(self, now_us: int) -> None:
         """Forget all poses, in standby: the next pose sets the estimate."""
-        self._estimate.restart()
+        self.poses.restart()
         self._stillness.reset(now_us)
 
     def host_heard(self, now_us: int) -> None:

@@ -117,17 +117,16 @@ class ClashDetector:
         self.found = False
         self._clashes_us.clear()
 
-    def update(self, accepted: bool, now_us: int, count: int) -> bool:
-        """Take the verdict on a pose; return whether it shows two sources for the first time.
+    def update(self, accepted: bool, now_us: int, count: int) -> None:
+        """Take the verdict on a pose.
 
         count: number of rejected poses after accepted ones, within CLASH_US, that shows them; 0 for never.
         """
         clash, self._accepted = self._accepted and not accepted, accepted
         if not clash or not count or self.found:
-            return False
+            return
         clashes = self._clashes_us
         clashes.append(now_us)
         while now_us - clashes[0] > CLASH_US:
             clashes.popleft()
         self.found = len(clashes) >= count
-        return self.found

@@ -14,6 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 from trimtab.firmware_model.services.files import BlobFiles
+from trimtab.firmware_model.services.recent import remember
 from trimtab.protocol import messages as m
 from trimtab.protocol.ftp import DATA_BYTES, Error, Opcode, Packet, crc32
 from trimtab.protocol.messages import UploadResult
@@ -119,10 +120,8 @@ class FtpServer:
         if act is not None:
             answer: Packet | None = act(key, request, now_us)
             assert answer is not None
-            self._answered.pop(key, None)
-            self._answered[key] = _Answered(request=payload, answer=answer, now_us=now_us)
-            if len(self._answered) > 4 * SESSIONS_MAX:
-                del self._answered[next(iter(self._answered))]
+            stored = _Answered(request=payload, answer=answer, now_us=now_us)
+            remember(self._answered, key, stored, 4 * SESSIONS_MAX)
         else:
             make = self._always.get(request.opcode)
             answer = _nak(request, Error.UNKNOWN_COMMAND) if make is None else make(key, request, now_us)

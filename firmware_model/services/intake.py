@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from trimtab.firmware_model.flight.course import Station
+from trimtab.firmware_model.services.ownership import STATIONS_MAX
+from trimtab.firmware_model.services.recent import remember
 from trimtab.protocol import messages as m
-from trimtab.protocol.messages import Message
+from trimtab.protocol.messages import Message, Station
 
 RATE_HZ = 100
 """Messages that one station may send for long."""
@@ -12,7 +13,6 @@ OTHERS_HZ = 25
 """The same in flight for all stations together that neither own the flight nor send its poses."""
 BURST_S = 2.0
 """Time over which the mean rate is bounded."""
-STATIONS_MAX = 16
 FREE = (m.SetPositionTarget, m.SetAttitudeTarget, m.UploadChunk, m.FileTransfer)
 """Messages that are not counted, except in flight from others: uploads and setpoints come at high rates."""
 
@@ -63,9 +63,7 @@ class Intake:
         return admitted
 
     def _bucket(self, station: Station, now_us: int) -> TokenBucket:
-        """Return the bucket of a station; beyond STATIONS_MAX forget the one used least recently."""
-        bucket = self._buckets.pop(station, None) or TokenBucket(RATE_HZ, now_us)
-        self._buckets[station] = bucket
-        if len(self._buckets) > STATIONS_MAX:
-            del self._buckets[next(iter(self._buckets))]
+        """Return the bucket of a station."""
+        bucket = self._buckets.get(station) or TokenBucket(RATE_HZ, now_us)
+        remember(self._buckets, station, bucket, STATIONS_MAX)
         return bucket

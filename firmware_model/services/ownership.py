@@ -12,10 +12,10 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-from trimtab.firmware_model.flight.course import Station, station_name
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.supervisor import Event
-from trimtab.protocol.messages import mavlink
+from trimtab.firmware_model.services.recent import remember
+from trimtab.protocol.messages import Station, mavlink, station_name
 
 STATIONS_MAX = 16
 """Greatest number of stations that are remembered."""
@@ -51,7 +51,7 @@ class Ownership:
 
     def hear(self, station: Station, now_us: int) -> None:
         """Record a message of a station; the owner's and the pose source's keep the link alive."""
-        _remember(self._heard_us, station, now_us)
+        remember(self._heard_us, station, now_us, STATIONS_MAX)
         if self.takes_part(station):
             self._flight.host_heard(now_us)
 
@@ -110,7 +110,7 @@ class Ownership:
 
         In standby, a station takes over once the present source has been silent for FS_MOCAP_S.
         """
-        _remember(self._pose_us, station, now_us)
+        remember(self._pose_us, station, now_us, STATIONS_MAX)
         if station == self._pose_source:
             return True
         if self.owner is None and not self._sends_poses(self._pose_source, now_us):
@@ -136,11 +136,3 @@ class Ownership:
         if station not in senders and len(senders) > 1:
             return "poses of two stations: {} and {}".format(*map(station_name, sorted(senders)[:2]))
         return None
-
-
-def _remember(times_us: dict[Station, int], station: Station, now_us: int) -> None:
-    """Set the time of a station; beyond STATIONS_MAX forget the one heard least recently."""
-    times_us.pop(station, None)
-    times_us[station] = now_us
-    if len(times_us) > STATIONS_MAX:
-        del times_us[next(iter(times_us))]

@@ -5,14 +5,13 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Callable
 
-from trimtab.firmware_model.flight.course import Station, station_name
 from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.parameters import ParameterValues, index_of, name_at
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.firmware_model.services.global_position import Place, origin_parameters
 from trimtab.firmware_model.services.ownership import Ownership
 from trimtab.protocol import messages as m
-from trimtab.protocol.messages import Message, mavlink
+from trimtab.protocol.messages import Message, Station, mavlink, station_name
 from trimtab.protocol.parameter_wire import REAL32, decode, encode, type_of
 from trimtab.protocol.parameters import BY_NAME
 

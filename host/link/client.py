@@ -16,7 +16,7 @@ from trimtab.host.link.keys import StationKey
 from trimtab.protocol import messages as m
 from trimtab.protocol import unsigned
 from trimtab.protocol.codec import Codec
-from trimtab.protocol.messages import Message
+from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.parameter_wire import decode
 from trimtab.protocol.signing import SIMULATED_EPOCH, Signer, Verdict, Verifier
 from trimtab.protocol.upload import CHUNK_BYTES, SIGNED_CHUNK_BYTES
@@ -208,10 +208,13 @@ class Client:
         self.bytes_sent += len(data)
         return data
 
-    def texts_since(self, count: int) -> list[str]:
-        """Return the status texts received since `text_count` was `count`, at most the last 50."""
+    def texts_since(self, count: int, least: int = mavlink.MAV_SEVERITY_DEBUG) -> list[str]:
+        """Return the status texts received since `text_count` was `count`, at most the last 50.
+
+        least: least MAV_SEVERITY of them; a lower number is more severe.
+        """
         new = self.text_count - count
-        return [text for _, text in self.texts][-new:] if new > 0 else []
+        return [text for severity, text in self.texts[-new:] if severity <= least] if new > 0 else []
 
     def _on_heartbeat(self, message: m.Heartbeat, now_us: int) -> bool:
         if message.get_srcComponent() != m.VEHICLE[1] or not m.is_vehicle(message):

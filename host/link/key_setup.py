@@ -58,9 +58,7 @@ class SetUpKey(Task):
 
     def advance(self, client: Client, now_us: int) -> None:
         if now_us >= self._end_us:
-            count = min(client.text_count - self._texts_before, len(client.texts))
-            new = client.texts[len(client.texts) - count :]
-            warnings = [text for severity, text in new if severity <= mavlink.MAV_SEVERITY_WARNING]
+            warnings = client.texts_since(self._texts_before, mavlink.MAV_SEVERITY_WARNING)
             reason = warnings[-1] if warnings else "it does not answer; check the link"
             raise LinkError(f"the vehicle did not change its key: {reason}")
         secret = bytes(KEY_BYTES) if self._key is None else self._key.key.secret

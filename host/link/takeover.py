@@ -52,9 +52,10 @@ class Takeover:
     @property
     def words(self) -> str:
         """Return which station commanded what."""
-        own = (self.system, self.component) == m.HOST
+        station = (self.system, self.component)
+        own = station == m.HOST
         whose = ", which has this host's address," if own else ""
-        return f"station {self.system}:{self.component}{whose} commanded {self.command}"
+        return f"station {m.station_name(station)}{whose} commanded {self.command}"
 
     def to_json(self) -> dict[str, Any]:
         """Return the entry `takeover` of `trimtab fly --json`."""

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from typing import Any
 
 from trimtab.host.report.figures import Figure
-from trimtab.host.report.html import render, script_data
+from trimtab.host.report.tables import tables_page
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
@@ -17,13 +16,5 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
-    answer = outcome["answer"]
-    scope = "quick check, not for the record" if answer["quick"] else f"{answer['runs']} uploads per channel"
-    return render(
-        "tables.html.j2",
-        title=f"The link: {scope}, seed {answer['seed']}",
-        tables=outcome["tables"],
-        figures=list(drawn.values()),
-        provenance=json.dumps(dict(provenance), indent=1, default=str),
-        data=script_data(answer),
-    )
+    size = f"{outcome['answer']['runs']} uploads per channel"
+    return tables_page("The link", outcome, drawn, provenance, size)

@@ -15,10 +15,14 @@ def tables_page(
     outcome: Mapping[str, Any],
     drawn: Mapping[str, Figure],
     provenance: Mapping[str, object],
+    size: str | None = None,
 ) -> str:
-    """Return the HTML of the study's report, one file that opens offline."""
+    """Return the HTML of the study's report, one file that opens offline.
+
+    size: how large the study is, in words; by default its number of worlds.
+    """
     answer = outcome["answer"]
-    scope = "quick check, not for the record" if answer["quick"] else f"{answer['worlds']} worlds"
+    scope = "quick check, not for the record" if answer["quick"] else size or f"{answer['worlds']} worlds"
     return render(
         "tables.html.j2",
         title=f"{title}: {scope}, seed {answer['seed']}",

@@ -17,6 +17,7 @@ from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import StudyError, write_whole
 from trimtab.sitl.studies.fuzz.run import run_fuzz
+from trimtab.sitl.studies.text_tables import lines
 from trimtab.sitl.studies.upload_blob import reference_blob
 from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS, interrupt
 from trimtab.sitl.studies.upload_flight import RADIOS, fly_upload
@@ -197,7 +198,7 @@ def summary(answer: Mapping[str, Any], found: Mapping[str, Sequence[Mapping[str,
         "Interrupted uploads, 10 % loss": _cuts_table(found["cuts"]),
         "Fuzz": [{"inputs": str(answers["fuzz_inputs"]), "crashes": str(answers["fuzz_crashes"])}],
     }
-    return {"answer": answers, "lines": list(_lines(tables)), "tables": tables}
+    return {"answer": answers, "lines": list(lines(tables)), "tables": tables}
 
 
 def _uploads_table(uploads: Mapping[str, Any], bounds: Mapping[str, float]) -> list[Row]:
@@ -247,14 +248,6 @@ def _cuts_table(rows: Sequence[Mapping[str, Any]]) -> list[Row]:
             "maximum": _text(max(seconds), "s"),
         })  # fmt: skip
     return table
-
-
-def _lines(tables: Mapping[str, Sequence[Row]]) -> Iterator[str]:
-    for title, rows in tables.items():
-        yield title
-        columns = {key: [key, *(row[key] for row in rows)] for key in rows[0]}
-        padded = [[cell.ljust(max(map(len, cells))) for cell in cells] for cells in columns.values()]
-        yield from ("  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True))
 
 
 def _mean(values: Sequence[float]) -> float:

@@ -226,28 +226,29 @@ def test_whole_bytes_never_cut_a_message(parts: list[bytes], cut: int) -> None:
     assert ports.whole_bytes(data[:whole]) == whole
 
 
+def say(line: ports.Port, client: socket.socket, data: bytes) -> bytes:
+    """What the UDP port reads after a client has sent a datagram."""
+    host, number = line.address.removeprefix("udp:").split(":")
+    client.sendto(data, (host, int(number)))
+    select.select(line.waits_on(), [], [])
+    line.receive()
+    return line.read(4096)
+
+
 def test_udp_answers_everybody_who_spoke_lately(monkeypatch: pytest.MonkeyPatch) -> None:
     wall_us = [0]
     monkeypatch.setattr(ports, "wall_us", lambda: wall_us[0])
     line = ports.open_port("udp:127.0.0.1:0")
     with contextlib.closing(line), contextlib.ExitStack() as stack:
-        host, port = line.address.removeprefix("udp:").split(":")
         one, two = (stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(2))
-
-        def say(client: socket.socket, data: bytes) -> None:
-            client.sendto(data, (host, int(port)))
-            select.select(line.waits_on(), [], [])
-            line.receive()
-            assert line.read(4096) == data
-
-        say(one, b"first")
+        assert say(line, one, b"first") == b"first"
         line.write(b"to one")
         assert one.recv(100) == b"to one"
-        say(two, b"second")
+        assert say(line, two, b"second") == b"second"
         line.write(b"to both")
         assert one.recv(100) == two.recv(100) == b"to both"
         wall_us[0] = 9_000_000
-        say(two, b"still here")
+        assert say(line, two, b"still here") == b"still here"
         wall_us[0] = 11_000_000
         line.write(b"to two")
         assert two.recv(100) == b"to two"
@@ -266,23 +267,15 @@ def test_udp_peers_that_speak_are_not_pushed_out_by_datagrams_from_many_addresse
     monkeypatch.setattr(ports, "wall_us", lambda: wall_us[0])
     line = ports.open_port("udp:127.0.0.1:0")
     with contextlib.closing(line), contextlib.ExitStack() as stack:
-        host, port = line.address.removeprefix("udp:").split(":")
         peers = [stack.enter_context(socket.socket(socket.AF_INET, socket.SOCK_DGRAM)) for _ in range(100)]
-
-        def say(client: socket.socket, data: bytes) -> bytes:
-            client.sendto(data, (host, int(port)))
-            select.select(line.waits_on(), [], [])
-            line.receive()
-            return line.read(4096)
-
-        assert say(peers[0], beat(1)) == beat(1)
-        heard = [say(peer, beat(2)) == beat(2) for peer in peers[1:]]
+        assert say(line, peers[0], beat(1)) == beat(1)
+        heard = [say(line, peer, beat(2)) == beat(2) for peer in peers[1:]]
         assert heard == [True] * 7 + [False] * 92
-        assert say(peers[0], beat(3)) == beat(3)
+        assert say(line, peers[0], beat(3)) == beat(3)
         line.write(b"to all peers")
         assert peers[0].recv(100) == b"to all peers"
         wall_us[0] = 10_000_000
-        assert say(peers[99], beat(4)) == beat(4)
+        assert say(line, peers[99], beat(4)) == beat(4)
 
 
 @given(st.lists(st.one_of(st.binary(max_size=400), st.just(beat(9))), max_size=9))

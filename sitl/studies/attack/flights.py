@@ -16,14 +16,14 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.keys import StationKey
 from trimtab.host.link.summary import FlightResult
-from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Node, Reference, YawNode
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.studies.attack.flood import FloodedVehicle, flood_frames
 from trimtab.sitl.studies.attack.frames import KEY
 from trimtab.sitl.studies.attack.interference import KINDS
-from trimtab.sitl.studies.attack.stranger import ADDRESS, SharedVehicle, Stranger
+from trimtab.sitl.studies.attack.stranger import ADDRESS, SharedVehicle, Stranger, Wrapper
 from trimtab.sitl.vehicle import SimulatedVehicle
 
 DEPARTED_M = 0.3
@@ -139,20 +139,11 @@ def _fly(
 
     stranger = Stranger(watch, address)
     shared = SharedVehicle(simulated, stranger)
-    with tempfile.TemporaryDirectory() as folder:
-        request = FlightRequest(
-            vehicle=vehicle,
-            reference=there_and_back(vehicle.id),
-            log_path=Path(folder) / "flight.mcap",
-            key=StationKey(key=KEY, name="study.key") if signed else None,
-        )
-        ended: FlightResult | TrimtabError
-        try:
-            ended = fly_lockstep(request, shared)
-        except FlightEnded as error:
-            ended = error.result
-        except TrimtabError as error:
-            ended = error
+    ended: FlightResult | TrimtabError
+    try:
+        ended = _flown(vehicle, shared, StationKey(key=KEY, name="study.key") if signed else None)
+    except TrimtabError as error:
+        ended = error
     for _ in range(FALL_US // SAMPLE_US):  # a vehicle whose motors were stopped in the air still falls
         end_us = simulated.now_us + SAMPLE_US
         while simulated.now_us < end_us:
@@ -166,6 +157,21 @@ def _fly(
     return [position for t_us, position in samples if t_us >= start_us], ended
 
 
+def _flown(vehicle: Vehicle, simulated: Wrapper, key: StationKey | None = None) -> FlightResult:
+    """Return the result of a flight, also if it ended early. Raises TrimtabError without a result."""
+    with tempfile.TemporaryDirectory() as folder:
+        request = FlightRequest(
+            vehicle=vehicle,
+            reference=there_and_back(vehicle.id),
+            log_path=Path(folder) / "flight.mcap",
+            key=key,
+        )
+        try:
+            return fly_lockstep(request, simulated)
+        except FlightEnded as error:
+            return error.result
+
+
 def flood(seed: int) -> dict[str, Any]:
     """Fly without and with a flood, and return both tracking errors and how the second flight ended."""
     vehicle = load_vehicle("research")
@@ -174,16 +180,7 @@ def flood(seed: int) -> dict[str, Any]:
         flooded = FloodedVehicle(
             SimulatedVehicle.create(vehicle, flight=seed), flood_frames(600, seed), rate_hz
         )
-        with tempfile.TemporaryDirectory() as folder:
-            request = FlightRequest(
-                vehicle=vehicle,
-                reference=there_and_back(vehicle.id),
-                log_path=Path(folder) / "flight.mcap",
-            )
-            try:
-                result = fly_lockstep(request, flooded)
-            except FlightEnded as error:
-                result = error.result
+        result = _flown(vehicle, flooded)
         rows[f"{name}_rmse_m"] = result.tracking_rmse_m
         rows[f"{name}_whole"] = result.end is not None and result.end.whole
         rows[f"{name}_failsafe"] = None if result.end is None else result.end.failsafe

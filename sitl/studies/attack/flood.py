@@ -6,12 +6,13 @@ from collections.abc import Sequence
 from random import Random
 from typing import Protocol
 
+from trimtab.host.link.vehicle import Vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.fair_share import FairShare
-from trimtab.sitl.studies.attack.stranger import ADDRESS, Lockstep, Wrapper
+from trimtab.sitl.studies.attack.stranger import ADDRESS, Wrapper
 
 STEP_US = 2 * TICK_US
 """Interval at which the port of a served vehicle lets data in."""
@@ -40,7 +41,7 @@ def _message(rng: Random, index: int) -> Message:
     return m.ParamRequestList(*m.VEHICLE)
 
 
-class Served(Lockstep, Protocol):
+class Served(Vehicle, Protocol):
     """A vehicle whose serial line can be served through a fair share, as in `sitl.serve`."""
 
     def serial_room(self) -> int: ...

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterable
-from typing import Protocol
 
+from trimtab.host.link.vehicle import Vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import Message
@@ -14,19 +14,6 @@ ADDRESS = (77, 190)
 """MAVLink system and component of a stranger."""
 STEP_US = 10 * TICK_US
 """Interval at which a stranger acts."""
-
-
-class Lockstep(Protocol):
-    """Interface of a vehicle in lock-step, as in `host.link.vehicle`."""
-
-    now_us: int
-
-    def run_until(self, t_us: int) -> int: ...
-    def serial_read(self) -> bytes: ...
-    def serial_write(self, data: bytes) -> None: ...
-    def mocap_read(self) -> list[bytes]: ...
-    def power_cycle(self, flight: int) -> None: ...
-    def close(self) -> None: ...
 
 
 class Stranger:
@@ -96,7 +83,7 @@ class Stranger:
 class Wrapper:
     """A vehicle around another one; both satisfy `host.link.Vehicle`."""
 
-    def __init__(self, vehicle: Lockstep) -> None:
+    def __init__(self, vehicle: Vehicle) -> None:
         self.now_us = vehicle.now_us
         self._vehicle = vehicle
 
@@ -125,7 +112,7 @@ class Wrapper:
 class SharedVehicle(Wrapper):
     """A vehicle whose port the host shares with a stranger."""
 
-    def __init__(self, vehicle: Lockstep, stranger: Stranger) -> None:
+    def __init__(self, vehicle: Vehicle, stranger: Stranger) -> None:
         super().__init__(vehicle)
         self._stranger = stranger
 

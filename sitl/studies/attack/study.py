@@ -24,6 +24,7 @@ from trimtab.sitl.studies.attack.interference import KINDS
 from trimtab.sitl.studies.attack.mutants import MUTANTS
 from trimtab.sitl.studies.attack.ports import CROWDS, climb, crowd
 from trimtab.sitl.studies.files import StudyError
+from trimtab.sitl.studies.text_tables import lines
 
 NAME = "attack"
 FRAMES, MUTANT_FRAMES, SEEDS, FLOODS, PATHS = 100_000, 5_000, 3, 10, 20_000
@@ -179,7 +180,7 @@ def summary(answer: Mapping[str, Any], rows: Mapping[str, Sequence[Row]]) -> dic
         ],
         "Paths that climb": [{"paths": str(answers["paths"]), "opened": str(answers["paths_opened"])}],
     }
-    return {"answer": answers, "lines": list(_lines(tables)), "tables": tables}
+    return {"answer": answers, "lines": list(lines(tables)), "tables": tables}
 
 
 def _is_allowed(row: Row) -> bool:
@@ -228,11 +229,3 @@ def _outcome(row: Row) -> str:
 
 def _mm(value_m: float | None) -> str:
     return "-" if value_m is None else f"{1e3 * value_m:.2f} mm"
-
-
-def _lines(tables: Mapping[str, Sequence[Row]]) -> Iterator[str]:
-    for title, rows in tables.items():
-        yield title
-        columns = {key: [key, *(str(row[key]) for row in rows)] for key in rows[0]}
-        padded = [[cell.ljust(max(map(len, cells))) for cell in cells] for cells in columns.values()]
-        yield from ("  " + "  ".join(row).rstrip() for row in zip(*padded, strict=True))
