@@ -100,9 +100,9 @@ class Engine:
         self._made: Kernel | Stage = build_stage(model) if compiler is None else kernel(model, compiler)
 
     @property
-    def compiled(self) -> bool:
-        """Whether it runs in C."""
-        return isinstance(self._made, Kernel)
+    def kernel(self) -> Kernel | None:
+        """The compiled functions, None in the virtual machine."""
+        return self._made if isinstance(self._made, Kernel) else None
 
     def over(
         self,
@@ -198,9 +198,8 @@ class _Lanes:
         self._sigma[:] = sigma
         self._lam_x[:] = self._in_lanes(lam_x)
         self._lam_path[:] = self._in_lanes(lam_path)
-        self._call(
-            self._kernel.hessians, self._z, self._sigma, self._lam_x, self._lam_path, self.hessian.flat
-        )
+        outputs = (self.x_slope.flat, self.cost_slope.flat, self.path_slope.flat, self.hessian.flat)
+        self._call(self._kernel.hessians, self._z, self._sigma, self._lam_x, self._lam_path, *outputs)
 
     def _call(self, function: object, *arguments: ctypes.c_long | Array) -> None:
         assert callable(function)

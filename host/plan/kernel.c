@@ -186,39 +186,52 @@ INLINE void start_of(const double *xi, Interval at, const Evaluation *e, Start *
 #endif
 }
 
+/* d x_next/dz of the step. */
+INLINE void step_slope(Interval at, const Evaluation *e, V *x_slope) {
+    V step = *at.h * *at.h0;
+    for (int r = 0; r < NX; ++r) {
+        V *row = x_slope + r * NZ, mean = splat(0.0);
+        for (int i = 0; i < 4; ++i) mean += WEIGHT[i] * e[i].k[r];
+        for (int c = 0; c < NZ; ++c) {
+            V total = splat(0.0);
+            for (int i = 0; i < 4; ++i) total += WEIGHT[i] * e[i].K[r * NZ + c];
+            row[c] = step * total;
+        }
+        row[r] += 1.0;
+        row[NXU] += *at.h0 * mean;
+    }
+}
+
+INLINE void start_slopes(Interval at, const Start *s, V *cost_slope, V *path_slope) {
+    V step = *at.h * *at.h0;
+    for (int c = 0; c < NXU; ++c) cost_slope[c] = step * s->slope[c];
+    cost_slope[NXU] = *at.h0 * s->cost;
+    memcpy(path_slope, s->path, sizeof s->path);
+}
+
 static void slopes_of(const double *xi, Interval at, int dynamics, V *x_slope, V *cost_slope, V *path_slope) {
     Evaluation e[4];
     Start s;
     Net net;
-    V step = *at.h * *at.h0;
     if (dynamics) {
         integrate(xi, at, 1, e);
-        for (int r = 0; r < NX; ++r) {
-            V *row = x_slope + r * NZ, mean = splat(0.0);
-            for (int i = 0; i < 4; ++i) mean += WEIGHT[i] * e[i].k[r];
-            for (int c = 0; c < NZ; ++c) {
-                V total = splat(0.0);
-                for (int i = 0; i < 4; ++i) total += WEIGHT[i] * e[i].K[r * NZ + c];
-                row[c] = step * total;
-            }
-            row[r] += 1.0;
-            row[NXU] += *at.h0 * mean;
-        }
+        step_slope(at, e, x_slope);
     }
     start_of(xi, at, dynamics ? e : 0, &s, &net);
-    for (int c = 0; c < NXU; ++c) cost_slope[c] = step * s.slope[c];
-    cost_slope[NXU] = *at.h0 * s.cost;
-    memcpy(path_slope, s.path, sizeof s.path);
+    start_slopes(at, &s, cost_slope, path_slope);
 }
 
-/* Upper triangle, row by row, of the Hessian in z of sigma cost + lam' x_next + path_lam' path. */
-static void hessian_of(const double *xi, Interval at, const V *sigma, const V *lam, const V *path_lam, V *upper) {
+/* The slopes, and the upper triangle, row by row, of the Hessian in z of sigma cost + lam' x_next + path_lam' path. */
+static void hessian_of(const double *xi, Interval at, const V *sigma, const V *lam, const V *path_lam, V *x_slope,
+                       V *cost_slope, V *path_slope, V *upper) {
     Evaluation e[4];
     Start s;
     Net net;
     V step = *at.h * *at.h0, scale = *sigma * step, H[NZ * NZ];
     integrate(xi, at, 1, e);
+    step_slope(at, e, x_slope);
     start_of(xi, at, e, &s, &net);
+    start_slopes(at, &s, cost_slope, path_slope);
     for (int c = 0; c < NZ * NZ; ++c) H[c] = splat(0.0);
 
     V adjoint[4][NX], vjp[4][NX];
@@ -306,7 +319,9 @@ void slopes(const double *xi, long groups, long dynamics, const V *z, V *x_slope
                   path_slope + g * PATH_NNZ);
 }
 
-void hessians(const double *xi, long groups, const V *z, const V *sigma, const V *lam, const V *path_lam, V *upper) {
+void hessians(const double *xi, long groups, const V *z, const V *sigma, const V *lam, const V *path_lam, V *x_slope,
+              V *cost_slope, V *path_slope, V *upper) {
     for (long g = 0; g < groups; ++g)
-        hessian_of(xi, interval(z + g * Z_ROWS), sigma, lam + g * NX, path_lam + g * ROWS, upper + g * UPPER);
+        hessian_of(xi, interval(z + g * Z_ROWS), sigma, lam + g * NX, path_lam + g * ROWS, x_slope + g * NX * NZ,
+                   cost_slope + g * NZ, path_slope + g * PATH_NNZ, upper + g * UPPER);
 }

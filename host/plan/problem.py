@@ -12,10 +12,16 @@ from numpy.typing import NDArray
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
-    """Multipliers of the bounds on the unknowns and of the constraint rows, at a solution."""
+    """Lagrange multipliers at a solution of a chain (`trimtab.host.plan.chain`), for another one like it.
 
-    bounds: Annotated[np.ndarray, "unknowns"]
-    rows: Annotated[np.ndarray, "rows"]
+    costates: of the gaps before the nodes. equations: of the fixed quantities, zero where none is fixed; the
+    unknowns of a stage, then its path rows. barrier: the barrier parameter. scale: of the objective.
+    """
+
+    costates: Annotated[np.ndarray, "states nodes"]
+    equations: Annotated[np.ndarray, "quantities nodes"]
+    barrier: float
+    scale: float
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -26,7 +32,7 @@ class Problem:
     units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: of the whole time; equal ones
     pin it. gates: frame, row by row, and centre of the gate at each interval's first node; None without any.
     Their rows follow the vehicle's path rows (`trimtab.host.plan.places`). near: the start is near the
-    solution; multipliers: those there, if known.
+    solution; multipliers: those there, if known to the interior point method.
     """
 
     leg_of: Annotated[NDArray[np.int64], "intervals"]

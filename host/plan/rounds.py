@@ -35,6 +35,7 @@ from trimtab.host.plan.shooting import (
     linear_start,
     make_grid,
     make_problem,
+    multipliers_on_grid,
     on_grid,
     smooth,
     table_start,
@@ -56,8 +57,8 @@ _PATIENCE = 4
 its heading still changes."""
 _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which the next round starts from an unfinished iterate."""
-_COARSE_GAP = 10.0
-"""Allowed gap, in tolerances, of a coarser grid that only gives a start."""
+_COARSE = 10.0
+"""Tolerance of a coarser grid, which only gives a start, in units of the finest one's."""
 _TRACKABLE = 0.95
 """Share of the limits of tilt and jerk for a path to track; the tracking plan needs the rest."""
 _REMEDY = "give it more time, headroom or nodes"
@@ -206,16 +207,14 @@ class _Run:
         """Return the last iterate on a grid, from a coarser one's solution where there is one."""
         self.problem = self.make_problem(grid, before)
         settings = self.job.settings
+        tolerance = settings.tolerance * (1.0 if grid is self.grid else _COARSE)
         solution = solve(
             self.engine,
             self.problem,
             keep_out=self.job.route.keep_out,
-            tolerance=settings.tolerance,
+            tolerance=tolerance,
             max_iterations=settings.iterations_max,
-            enough=Enough(
-                change=settings.enough,
-                gap=settings.tolerance * (1.0 if grid is self.grid else _COARSE_GAP),
-            ),
+            enough=Enough(change=settings.enough, gap=tolerance),
         )
         self.iterations += solution.iterations
         if self.rounds == 0:
@@ -328,6 +327,7 @@ class _Run:
             problem = with_error(problem)
         if last is None:
             return problem
-        # The multipliers of another grid belong to other rows.
-        multipliers = None if self._last is None else last.multipliers
+        multipliers = last.multipliers
+        if self._last is None and before is not None and multipliers is not None:
+            multipliers = multipliers_on_grid(multipliers, before[2], grid)
         return replace(problem, h_start=last.h, near=last.status.usable, multipliers=multipliers)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -25,7 +25,7 @@ from trimtab.host.plan.dynamics import (
 )
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import GATE_ROWS
-from trimtab.host.plan.problem import Problem, Solution
+from trimtab.host.plan.problem import Multipliers, Problem, Solution
 from trimtab.host.plan.smooth import fit
 from trimtab.host.plan.table import Table, evaluate, flat_states, yaw_at
 from trimtab.host.route import Gate
@@ -120,6 +120,16 @@ def on_grid(
     intervals.values()
     x = intervals.x_next.dense(engine.model.nx)[:, :, 0].T
     return np.hstack([x, solution.x[:, -1:]]), solution.u[:, at]
+
+
+def multipliers_on_grid(multipliers: Multipliers, old: Grid, new: Grid) -> Multipliers:
+    """Return a solution's multipliers at another grid's nodes: those of equations where a node is shared."""
+    at_old, at_new = (np.append(grid.leg_of + _share(grid), len(grid.counts)) for grid in (old, new))
+    costates = np.array([np.interp(at_new, at_old, row) for row in multipliers.costates])
+    nearest = np.minimum(np.searchsorted(at_old, at_new - 1e-9), len(at_old) - 1)
+    shared = np.abs(at_old[nearest] - at_new) < 1e-9
+    equations = np.where(shared, multipliers.equations[:, nearest], 0.0)
+    return replace(multipliers, costates=costates, equations=equations)
 
 
 def _share(grid: Grid) -> Array:

@@ -1,4 +1,4 @@
-"""A problem's local optimum from its start: by Fatrop, and by Ipopt where Fatrop does not converge."""
+"""A problem's local optimum from its start: by our interior point method, by Ipopt where it does not converge."""
 
 from __future__ import annotations
 
@@ -12,25 +12,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.codegen.compiler import wanted_compiler
-from trimtab.host.plan import fatrop
+from trimtab.host.plan.chain import Chain
+from trimtab.host.plan.interior_point import solve_chain
 from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.problem import Enough, Multipliers, Problem, Solution, SolveStatus
+from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
 from trimtab.host.plan.transcription import Assembly
 from trimtab.host.route.shapes import Shape
 
 Array = NDArray[np.float64]
-Solver = Literal["fatrop", "ipopt"]
+Solver = Literal["interior point", "ipopt"]
 
-_WARM = {
-    "ipopt.warm_start_init_point": "yes",
-    "ipopt.mu_init": 1e-4,
-    "ipopt.warm_start_bound_push": 1e-6,
-    "ipopt.warm_start_bound_frac": 1e-6,
-    "ipopt.warm_start_slack_bound_push": 1e-6,
-    "ipopt.warm_start_slack_bound_frac": 1e-6,
-    "ipopt.warm_start_mult_bound_push": 1e-6,
-}
-"""Options for a start near the solution, with multipliers; by default Ipopt moves it into its box."""
+_NEAR = {"ipopt.mu_init": 1e-4, "ipopt.bound_push": 1e-6, "ipopt.bound_frac": 1e-6}
+"""Options for a start near the solution; by default Ipopt moves it into its box."""
 
 _STATUS = {
     "Solve_Succeeded": SolveStatus.SOLVED,
@@ -130,40 +123,19 @@ def solve(
 ) -> Solution:
     """Return the local optimum from the given start.
 
-    Fatrop solves, and Ipopt where Fatrop does not converge; `solver` selects one of them.
-    enough: when Fatrop may stop early. `solve_s` is the processor time of both; it alone varies.
+    Our method solves where there is a compiler, and Ipopt where it does not converge or there is none;
+    `solver` selects one of them. enough: when our method may stop early. `solve_s` is the processor time of
+    both; it alone varies.
     """
     started = time.process_time()
-    assembly = Assembly(engine, problem, keep_out)
     compiler = wanted_compiler()
     solution: Solution | None = None
-    if solver != "ipopt" and compiler is not None and fatrop.usable():
-        end = fatrop.solve_chain(
-            assembly, compiler, tolerance=tolerance, max_iterations=max_iterations, enough=enough
-        )
-        solution = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
+    if solver != "ipopt" and compiler is not None and engine.kernel is not None:
+        chain = Chain(engine.model, engine.kernel, compiler, problem, keep_out)
+        solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations, enough=enough)
     if solution is None or (solver is None and not solution.status.usable):
-        solution = _ipopt(assembly, tolerance, max_iterations)
+        solution = _ipopt(Assembly(engine, problem, keep_out), tolerance, max_iterations)
     return replace(solution, solve_s=time.process_time() - started)
-
-
-def _solution(assembly: Assembly, w: Array, status: SolveStatus, iterations: int, solver: Solver) -> Solution:
-    """Return a point as a solution, without its time."""
-    problem = assembly.problem
-    x, u, h = assembly.split(w)
-    return Solution(
-        status=status,
-        x=x,
-        u=u,
-        h=h,
-        t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
-        cost=assembly.objective(w),
-        iterations=iterations,
-        solve_s=0.0,
-        multipliers=None,
-        violation=assembly.violation(w),
-        solver=solver,
-    )
 
 
 def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solution:
@@ -186,24 +158,27 @@ def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solutio
         "lbg": assembly.g_low,
         "ubg": assembly.g_high,
     }
-    known = assembly.problem.multipliers
-    if known is not None:
-        options |= _WARM
-        given |= {"lam_x0": known.bounds, "lam_g0": known.rows}
+    if assembly.problem.near:
+        options |= _NEAR
     w, none = ca.MX.sym("x", assembly.width), ca.MX.sym("p", 0, 1)
     nlp = {"x": w, "f": functions["nlp_f"](w, none), "g": functions["nlp_g"](w, none)}
     run = ca.nlpsol("plan", "ipopt", nlp, options)
     result = run(**given)
     stats = run.stats()
     del callbacks  # CasADi holds no reference to them
-    end = _solution(
-        assembly,
-        np.asarray(result["x"]).ravel(),
-        _STATUS.get(stats["return_status"], SolveStatus.OTHER),
-        int(stats["iter_count"]),
-        "ipopt",
+    w_end = np.asarray(result["x"]).ravel()
+    x, u, h = assembly.split(w_end)
+    problem = assembly.problem
+    return Solution(
+        status=_STATUS.get(stats["return_status"], SolveStatus.OTHER),
+        x=x,
+        u=u,
+        h=h,
+        t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
+        cost=assembly.objective(w_end),
+        iterations=int(stats["iter_count"]),
+        solve_s=0.0,
+        multipliers=None,
+        violation=assembly.violation(w_end),
+        solver="ipopt",
     )
-    multipliers = Multipliers(
-        bounds=np.asarray(result["lam_x"]).ravel(), rows=np.asarray(result["lam_g"]).ravel()
-    )
-    return replace(end, multipliers=multipliers)

@@ -1,0 +1,239 @@
+"""A shooting problem as a chain of stages in fixed memory, as `interior_point.c` takes it.
+
+The unknowns of stage k are the states, the step size and the elapsed time, then the inputs and the step size of
+the next leg. Where steps are given, there is neither step size nor time; where the total time is not bounded,
+there is no time. All stages are alike: a leg's intervals hand on their step size, and its last one sets the next.
+"""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Annotated, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from trimtab.host.codegen.compiler import Compiler
+from trimtab.host.codegen.simd import LANES, aligned, simd_library
+from trimtab.host.plan.kernel import Kernel
+from trimtab.host.plan.places import Places
+from trimtab.host.plan.problem import Multipliers, Problem
+from trimtab.host.plan.stage import StageModel
+from trimtab.host.route.shapes import Shape
+
+Array = NDArray[np.float64]
+
+_SOURCE = Path(__file__).parent / "interior_point.c"
+_FILTER_SIZE = 500
+_PLACES = ctypes.CFUNCTYPE(None, ctypes.c_int)
+_ARRAYS = (
+    "xi", "z", "x_next", "cost", "path", "x_slope", "cost_slope", "path_slope", "upper", "sigma", "lam",
+    "path_lam", "positions", "place_value", "place_slope", "place_hessian", "place_lam", "h0_s", "new_leg",
+    "equal_begin", "equal_at", "bound_begin", "bound_at", "equal_to", "low", "high", "w", "w_new", "dw",
+    "costate", "costate_new", "equal_gap", "equal_y", "row", "s", "s_new", "ds", "y", "y_new", "z_low",
+    "z_high", "dz_low", "dz_high", "stages", "ahead", "filter",
+)  # fmt: skip
+_NUMBERS = (
+    "tolerance", "scale", "mu", "damping", "objective", "barrier", "violation", "greatest", "violation_most",
+    "violation_small",
+)  # fmt: skip
+
+
+class Memory(ctypes.Structure):
+    """The C structure `Problem`."""
+
+    _fields_ = (
+        *((name, ctypes.c_long) for name in ("count", "groups", "parameters", "places", "filter_size")),
+        *((name, ctypes.c_void_p) for name in ("evaluate_values", "evaluate_hessians")),
+        ("places_of", _PLACES),
+        *((name, ctypes.c_void_p) for name in _ARRAYS),
+        *((name, ctypes.c_double) for name in _NUMBERS),
+        ("filtered", ctypes.c_long),
+    )
+
+
+class Chain:
+    """Memory of a problem, and the compiled method for its sizes. Nothing is allocated after the set-up.
+
+    `memory` is what the C functions take. Raises CodegenError where the compiler fails.
+    """
+
+    def __init__(
+        self,
+        model: StageModel,
+        kernel: Kernel,
+        compiler: Compiler,
+        problem: Problem,
+        keep_out: Sequence[Shape] = (),
+    ) -> None:
+        self.problem, self.nx, self.nu = problem, model.nx, model.nu
+        self.count = len(problem.leg_of)
+        self._free = int(problem.steps_free)
+        self._timed = int(problem.steps_free and bool(np.isfinite(problem.total_bounds_s).any()))
+        self._states = model.nx + self._free + self._timed
+        self.width = self._states + model.nu + self._free
+        self.method = _method(model, kernel, compiler, self._free, self._timed)
+        self._new_leg = np.append(problem.leg_of[1:] != problem.leg_of[:-1], False)
+        self._places: Places | None = None
+        if keep_out or problem.gates is not None:
+            self._places = Places(problem.gates, keep_out, self.count)
+        self._arrays = self._lanes(model, kernel) | self._of_places()
+        self._limits()
+        self._unknowns()
+        self._call = _PLACES(self._evaluate_places)
+        self.memory = Memory(
+            count=self.count,
+            groups=-(-self.count // LANES),
+            parameters=model.np,
+            places=0 if self._places is None else self._places.rows,
+            filter_size=_FILTER_SIZE,
+            evaluate_values=_address(kernel.values),
+            evaluate_hessians=_address(kernel.hessians),
+            places_of=self._call,
+            **{name: self._arrays[name].ctypes.data for name in _ARRAYS},
+        )
+
+    def _lanes(self, model: StageModel, kernel: Kernel) -> dict[str, NDArray[Any]]:
+        """Return the arrays over lanes; lanes beyond the last interval repeat the first."""
+        p, nz = self.problem, model.nx + model.nu + 1
+        groups = -(-self.count // LANES)
+        lane = np.zeros(groups * LANES, dtype=np.int64)
+        lane[: self.count] = np.arange(self.count)
+        z = aligned((groups, nz + 1 + model.np, LANES))
+        z[:, nz] = p.h0_s[lane].reshape(groups, LANES)
+        z[:, nz + 1 :] = p.parameters[:, lane].reshape(model.np, groups, LANES).swapaxes(0, 1)
+        sizes = {
+            "x_next": model.nx,
+            "cost": 1,
+            "path": kernel.rows,
+            "x_slope": model.nx * nz,
+            "cost_slope": nz,
+            "path_slope": max(1, len(kernel.path_slope[0])),
+            "upper": nz * (nz + 1) // 2,
+            "lam": model.nx,
+            "path_lam": kernel.rows,
+        }
+        xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
+        arrays = {name: aligned((groups, size, LANES)) for name, size in sizes.items()}
+        return arrays | {"xi": xi, "z": z, "sigma": aligned((1, LANES))}
+
+    def _of_places(self) -> dict[str, NDArray[Any]]:
+        rows = 0 if self._places is None else self._places.rows
+        shapes = {"value": (rows,), "slope": (rows, 3), "hessian": (3, 3), "lam": (rows,)}
+        arrays: dict[str, NDArray[Any]] = {
+            f"place_{name}": np.zeros((self.count, *shape)) for name, shape in shapes.items()
+        }
+        return arrays | {
+            "positions": np.zeros((self.count, 3)),
+            "h0_s": np.ascontiguousarray(self.problem.h0_s),
+            "new_leg": self._new_leg.astype(np.int32),
+        }
+
+    def _limits(self) -> None:
+        """Place the bounds of unknowns and path rows, stage by stage; equal ones are equations."""
+        p, arrays = self.problem, self._arrays
+        shape = (self.count + 1, self.width + p.path_bounds[0].shape[0])
+        low, high = np.full(shape, -np.inf), np.full(shape, np.inf)
+        bounds = (p.x_bounds, p.u_bounds, p.path_bounds, p.h_bounds, p.total_bounds_s)
+        for out, x, u, path, h, total_s in zip((low, high), *bounds, strict=True):
+            out[:, : self.nx] = x.T
+            out[:-1, self._states : self._states + self.nu] = u.T
+            out[:-1, self.width :] = path.T
+            if self._free:
+                out[np.append(True, self._new_leg), self.nx] = h
+            if self._timed:
+                out[[0, -1], self.nx + 1] = 0.0, total_s
+        fixed = (low == high) & np.isfinite(low)
+        bounded = ~fixed & (np.isfinite(low) | np.isfinite(high))
+        for name, chosen in (("equal", fixed), ("bound", bounded)):
+            stage, at = np.nonzero(chosen)
+            counts = np.bincount(stage, minlength=self.count + 1)
+            arrays[f"{name}_begin"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
+            arrays[f"{name}_at"] = at.astype(np.int32)
+        self._fixed = np.nonzero(fixed)
+        arrays |= {"equal_to": low[fixed], "low": low[bounded], "high": high[bounded]}
+        arrays |= {name: np.zeros(int(fixed.sum())) for name in ("equal_gap", "equal_y")}
+        of_bounds = ("row", "s", "s_new", "ds", "y", "y_new", "z_low", "z_high", "dz_low", "dz_high")
+        arrays |= {name: np.zeros(int(bounded.sum())) for name in of_bounds}
+        self._arrays = arrays
+
+    def _unknowns(self) -> None:
+        """Set the unknowns and multipliers to the problem's start."""
+        p, nodes = self.problem, self.count + 1
+        arrays = self._arrays
+        arrays |= {name: aligned((nodes, self.width)) for name in ("w", "w_new", "dw")}
+        arrays |= {name: np.zeros((nodes, self._states)) for name in ("costate", "costate_new")}
+        arrays["stages"] = aligned((self.count * int(self.method.stage_bytes()) // 8,))
+        arrays["ahead"] = aligned((nodes * int(self.method.ahead_bytes()) // 8,))
+        arrays["filter"] = np.zeros((_FILTER_SIZE, 2))
+        w = arrays["w"]
+        w[:, : self.nx] = p.x_start.T
+        w[:-1, self._states : self._states + self.nu] = p.u_start.T
+        if self._free:
+            h = p.h_start[np.append(p.leg_of, p.leg_of[-1])]
+            w[:, self.nx] = h
+            w[:-1, -1] = np.where(self._new_leg, h[1:], 0.0)
+            if self._timed:
+                w[1:, self.nx + 1] = np.cumsum(p.h0_s * h[:-1])
+        stage, at = self._fixed
+        of_w = at < self.width
+        w[stage[of_w], at[of_w]] = arrays["equal_to"][of_w]
+        if p.multipliers is not None:
+            arrays["costate"][:] = p.multipliers.costates.T
+            arrays["equal_y"][:] = p.multipliers.equations.T[self._fixed]
+
+    def _evaluate_places(self, second: int) -> None:
+        arrays, places = self._arrays, self._places
+        assert places is not None
+        if second:
+            arrays["place_hessian"][:] = places.second(arrays["positions"], arrays["place_lam"])
+        else:
+            places.first(arrays["positions"])
+            arrays["place_value"][:], arrays["place_slope"][:] = places.value, places.slope
+
+    def point(
+        self,
+    ) -> tuple[
+        Annotated[np.ndarray, "states nodes"],
+        Annotated[np.ndarray, "inputs intervals"],
+        Annotated[np.ndarray, "legs"],
+    ]:
+        """Return the states x, inputs u and step sizes h of the present point."""
+        arrays = self._arrays
+        # The method swaps the present point with the next one.
+        w = next(arrays[name] for name in ("w", "w_new") if arrays[name].ctypes.data == self.memory.w)
+        h = w[np.append(True, self._new_leg), self.nx] if self._free else np.ones(self.problem.legs)
+        return w[:, : self.nx].T.copy(), w[:-1, self._states : self._states + self.nu].T.copy(), h.copy()
+
+    def multipliers(self) -> Multipliers:
+        """Return those at the present point."""
+        equations = np.zeros((self.count + 1, self.width + self.problem.path_bounds[0].shape[0]))
+        equations[self._fixed] = self._arrays["equal_y"]
+        return Multipliers(
+            costates=self._arrays["costate"].T.copy(),
+            equations=equations.T,
+            barrier=self.memory.mu,
+            scale=self.memory.scale,
+        )
+
+
+def _method(model: StageModel, kernel: Kernel, compiler: Compiler, free: int, timed: int) -> ctypes.CDLL:
+    """Return the compiled method for the sizes of a model. Raises CodegenError."""
+    rows, columns = kernel.path_slope
+    sizes = {"NX": model.nx, "NU": model.nu, "FREE": free, "TIMED": timed, "ROWS": kernel.rows}
+    sizes["PATH_NNZ"] = max(1, len(rows))
+    lines = [f"#define {name} {value}" for name, value in sizes.items()]
+    for name, numbers in (("ROW", rows), ("COL", columns)):
+        values = ", ".join(map(str, numbers.tolist())) or "0"
+        lines.append(f"static const int PATH_{name}[] = {{{values}}};")
+    source = "\n".join([*lines, _SOURCE.read_text(encoding="utf-8")])
+    method = ctypes.CDLL(simd_library(source, compiler))
+    for name in ("stage_bytes", "ahead_bytes"):
+        getattr(method, name).restype = ctypes.c_long
+    return method
+
+
+def _address(function: Callable[..., None]) -> int | None:
+    return ctypes.cast(function, ctypes.c_void_p).value  # pyright: ignore[reportArgumentType]
