@@ -153,6 +153,8 @@ class Chain:
             arrays[f"{name}_begin"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
             arrays[f"{name}_at"] = at.astype(np.int32)
         self._fixed = np.nonzero(fixed)
+        self._is_unknown = self._fixed[1] < self.width
+        self._fixed_unknowns = tuple(index[self._is_unknown] for index in self._fixed)
         arrays |= {"equal_to": low[fixed], "low": low[bounded], "high": high[bounded]}
         arrays |= {name: np.zeros(int(fixed.sum())) for name in ("equal_gap", "equal_y")}
         of_bounds = ("row", "s", "s_new", "ds", "y", "y_new", "z_low", "z_high", "dz_low", "dz_high")
@@ -177,9 +179,7 @@ class Chain:
             w[:-1, -1] = np.where(self._new_leg, h[1:], 0.0)
             if self._timed:
                 w[1:, self.nx + 1] = np.cumsum(p.h0_s * h[:-1])
-        stage, at = self._fixed
-        of_w = at < self.width
-        w[stage[of_w], at[of_w]] = arrays["equal_to"][of_w]
+        w[self._fixed_unknowns] = arrays["equal_to"][self._is_unknown]
         if p.multipliers is not None:
             arrays["costate"][:] = p.multipliers.costates.T
             arrays["equal_y"][:] = p.multipliers.equations.T[self._fixed]
@@ -200,10 +200,11 @@ class Chain:
         Annotated[np.ndarray, "inputs intervals"],
         Annotated[np.ndarray, "legs"],
     ]:
-        """Return the states x, inputs u and step sizes h of the present point."""
+        """Return the states x, inputs u and step sizes h of the present point, with fixed values exact."""
         arrays = self._arrays
         # The method swaps the present point with the next one.
-        w = next(arrays[name] for name in ("w", "w_new") if arrays[name].ctypes.data == self.memory.w)
+        w = next(arrays[name] for name in ("w", "w_new") if arrays[name].ctypes.data == self.memory.w).copy()
+        w[self._fixed_unknowns] = arrays["equal_to"][self._is_unknown]
         h = w[np.append(True, self._new_leg), self.nx] if self._free else np.ones(self.problem.legs)
         return w[:, : self.nx].T.copy(), w[:-1, self._states : self._states + self.nu].T.copy(), h.copy()
 

@@ -7,6 +7,7 @@ from typing import Final
 
 import numpy as np
 
+from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.plan.chain import Chain
 from trimtab.host.plan.problem import Enough, Solution, SolveStatus
 
@@ -36,9 +37,12 @@ def solve_chain(
     memory.mu = _FIRST_BARRIER if known is None else known.barrier
     memory.scale = 1.0 if known is None else known.scale
     here = ctypes.byref(memory)
-    code, iterations, calm, cost = int(method.begin(here)), 0, 0, np.inf
+    with held_interrupts():  # C cannot pass on what its callback raises
+        code = int(method.begin(here))
+    iterations, calm, cost = 0, 0, np.inf
     while code == _RUNNING and iterations < max_iterations and calm < _CALM_ITERATIONS:
-        code = int(method.iterate(here))
+        with held_interrupts():
+            code = int(method.iterate(here))
         iterations += code == _RUNNING
         before, cost = cost, memory.objective
         near = enough is not None and memory.mu <= tolerance and memory.greatest <= enough.gap

@@ -216,7 +216,7 @@ def _check_derivatives(dynamics: Dynamics, model: StageModel, engine: str) -> No
     rng = np.random.default_rng(5)
     weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
     made = Engine(model, engine)
-    assert made.compiled == (engine == "c")
+    assert (made.kernel is not None) == (engine == "c")
     found = _evaluated(made.over(h0_s, p), rows, (x.T, u.T, h), weights)
     for k in range(count):
         expected = oracle(x[:, k], u[:, k], h[k], h0_s[k], p[:, k], 1.3, *(part[k] for part in weights))

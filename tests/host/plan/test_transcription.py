@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import ctypes
 import signal
-import threading
-import time
 from dataclasses import replace
 
 import casadi as ca
 import numpy as np
 import pytest
 
-from trimtab.host.plan import fatrop
 from trimtab.host.plan.intervals import Engine
+from trimtab.host.plan.places import Places
 from trimtab.host.plan.planner import make_job
 from trimtab.host.plan.problem import Enough, Problem, SolveStatus
 from trimtab.host.plan.rounds import first_round
@@ -164,6 +161,12 @@ def _gated(count: int) -> Problem:
     return replace(problem, path_bounds=(low, high), gates=gates)
 
 
+def _gates_alone(count: int) -> Problem:
+    problem = _gated(count)
+    low, high = problem.path_bounds
+    return replace(problem, path_bounds=(low[:5], high[:5]))
+
+
 def test_solve_may_stop_where_its_cost_hardly_changes(require) -> None:
     require("compiler")
     job = make_job(random_route(3), load_vehicle("research"), kind="min-control")
@@ -176,12 +179,10 @@ def test_solve_may_stop_where_its_cost_hardly_changes(require) -> None:
     assert soon.cost == pytest.approx(end.cost, rel=0.05)
 
 
-@pytest.mark.parametrize("solver", ["fatrop", "ipopt"])
+@pytest.mark.parametrize("solver", ["interior point", "ipopt"])
 def test_solve_passes_gates_where_their_rows_say(solver: Solver, require) -> None:
     require("compiler")
-    problem = _gated(30)
-    problem = replace(problem, path_bounds=(problem.path_bounds[0][:5], problem.path_bounds[1][:5]))
-    solution = solve(Engine(_point()), problem, tolerance=1e-8, max_iterations=200, solver=solver)
+    solution = solve(Engine(_point()), _gates_alone(30), tolerance=1e-8, max_iterations=200, solver=solver)
     assert solution.status.usable
     frame = Gate(waypoint=1, width_m=2.0, height_m=2.0, heading_deg=30.0).frame()
     along, right, _ = frame @ (solution.x[:, 10] - [0.4, 0.0, 0.0])
@@ -211,85 +212,28 @@ def _check_derivatives(whole: Assembly, size: float) -> None:
 
 
 @pytest.mark.parametrize("case", sorted(_CASES))
-def test_fatrop_and_ipopt_find_the_same_optimum(case: str, require) -> None:
+def test_both_solvers_find_the_same_optimum(case: str, require) -> None:
     require("compiler")
     problem = _problem(**_CASES[case])
     bounded = replace(problem, path_bounds=(problem.path_bounds[0], np.full((1, 40), 1.3)))
-    first, second = (_solve(_cart(), bounded, solver=solver) for solver in ("fatrop", "ipopt"))
-    assert (first.solver, second.solver) == ("fatrop", "ipopt")
+    first, second = (_solve(_cart(), bounded, solver=solver) for solver in ("interior point", "ipopt"))
+    assert (first.solver, second.solver) == ("interior point", "ipopt")
     assert first.status is second.status is SolveStatus.SOLVED
     assert first.cost == pytest.approx(second.cost, rel=1e-6)
     np.testing.assert_allclose(first.x, second.x, atol=2e-5)
 
 
-def test_fatrop_hands_on_what_is_raised_while_it_runs(require, monkeypatch) -> None:
+def test_an_interrupt_while_places_are_evaluated_is_raised(require, monkeypatch) -> None:
     require("compiler")
+    first = Places.first
 
-    def interrupted(self, w: np.ndarray, sigma: float, lam: np.ndarray) -> np.ndarray:
-        raise KeyboardInterrupt
+    def interrupted(self: Places, p: np.ndarray) -> None:
+        signal.raise_signal(signal.SIGINT)
+        first(self, p)
 
-    monkeypatch.setattr(Assembly, "hessian", interrupted)
+    monkeypatch.setattr(Places, "first", interrupted)
     with pytest.raises(KeyboardInterrupt):
-        _solve(_cart(), _problem())
-
-
-def test_fatrop_interrupted_is_given_up_only_once_it_has_returned(require, monkeypatch) -> None:
-    require("compiler")
-    library = fatrop._fatrop()
-    destroyed, calls = threading.Event(), []
-
-    def solve(solver: ctypes.c_void_p) -> None:
-        signal.pthread_kill(threading.main_thread().ident or 0, signal.SIGINT)
-        assert not destroyed.wait(0.5)  # at once where the main thread goes on without this one
-        library.fatrop_ocp_c_solve(solver)
-        calls.append("returned")
-
-    def destroy(solver: ctypes.c_void_p) -> None:
-        calls.append("destroyed")
-        destroyed.set()
-        library.fatrop_ocp_c_destroy(solver)
-
-    class Watched:
-        fatrop_ocp_c_solve = staticmethod(solve)
-        fatrop_ocp_c_destroy = staticmethod(destroy)
-
-        def __getattr__(self, name: str):
-            return getattr(library, name)
-
-    monkeypatch.setattr(fatrop, "_fatrop", Watched)
-    with pytest.raises(KeyboardInterrupt):
-        _solve(_cart(), _problem(), solver="fatrop")
-    assert calls == ["returned", "destroyed"]
-
-
-def test_fatrop_that_returns_during_a_look_at_its_clock_has_its_thread_still(require, monkeypatch) -> None:
-    require("compiler")
-    library, clock = fatrop._fatrop(), time.pthread_getcpuclockid
-    looked, returned, alive = threading.Event(), threading.Event(), []
-
-    def solve(solver: ctypes.c_void_p) -> None:
-        looked.wait()
-        library.fatrop_ocp_c_solve(solver)
-        returned.set()
-
-    def look(number: int) -> int:
-        (thread,) = (thread for thread in threading.enumerate() if thread.ident == number)
-        looked.set()
-        returned.wait()
-        thread.join(0.2)  # at once where it waits for nobody
-        alive.append(thread.is_alive())
-        return clock(number)
-
-    class Watched:
-        fatrop_ocp_c_solve = staticmethod(solve)
-
-        def __getattr__(self, name: str):
-            return getattr(library, name)
-
-    monkeypatch.setattr(fatrop, "_fatrop", Watched)
-    monkeypatch.setattr(fatrop.time, "pthread_getcpuclockid", look)
-    assert _solve(_cart(), _problem(), solver="fatrop").status is SolveStatus.SOLVED
-    assert alive == [True]
+        _solve(_point(), _gates_alone(30), solver="interior point")
 
 
 def test_a_model_that_gives_no_numbers_ends_the_solve(require) -> None:
@@ -355,9 +299,9 @@ def test_solve_out_of_iterations_says_so() -> None:
     assert _solve(_cart(), bounded, iterations=2).status is SolveStatus.ITERATIONS
 
 
-@pytest.mark.parametrize("solver", ["fatrop", "ipopt"])
+@pytest.mark.parametrize("solver", ["interior point", "ipopt"])
 def test_solve_from_its_own_solution_takes_fewer_iterations(solver: Solver, require) -> None:
-    if solver == "fatrop":
+    if solver == "interior point":
         require("compiler")
     problem = _problem()
     low, high = problem.path_bounds
