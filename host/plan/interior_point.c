@@ -26,13 +26,13 @@
 #define BOUNDARY 0.99         /* share of the way to a bound that a step may take */
 #define BARRIER_FALL 0.2      /* factors and power of the barrier parameter's decrease */
 #define BARRIER_POWER 1.5
-#define BARRIER_ERROR 10.0    /* error of a barrier problem, in units of its parameter, at which it is solved */
+#define BARRIER_ERROR 1.0     /* error of a barrier problem, in units of its parameter, at which it is solved */
 #define DAMPING_FIRST 1e-4    /* added to the Hessian's diagonal where it is not positive definite */
 #define DAMPING_LEAST 1e-6
 #define DAMPING_MOST 1e10
 #define DAMPING_RAISED 0.1    /* up to here short steps raise it */
-#define DAMPING_FACTOR 4.0
-#define SHORT_STEP 0.5        /* shares of a step below and above which the damping changes */
+#define DAMPING_FACTOR 3.0
+#define SHORT_STEP 0.3        /* shares of a step below and above which the damping changes */
 #define LONG_STEP 0.95
 #define LEAST_SHARE 1e-10
 #define SLOPE_SHARE 1e-4      /* share of the predicted decrease that a step must bring */

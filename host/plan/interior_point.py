@@ -9,11 +9,10 @@ import numpy as np
 
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.plan.chain import Chain
-from trimtab.host.plan.problem import Enough, Solution, SolveStatus
+from trimtab.host.plan.problem import Solution, SolveStatus
 
 _FIRST_BARRIER = 0.1
 """Barrier parameter of a start without multipliers."""
-_CALM_ITERATIONS = 2
 _RUNNING, _SOLVED, _STUCK, _NOT_FINITE = range(4)
 _STATUS: Final = {
     _RUNNING: SolveStatus.ITERATIONS,
@@ -23,13 +22,10 @@ _STATUS: Final = {
 }
 
 
-def solve_chain(
-    chain: Chain, *, tolerance: float, max_iterations: int, enough: Enough | None = None
-) -> Solution:
+def solve_chain(chain: Chain, *, tolerance: float, max_iterations: int) -> Solution:
     """Return the local optimum from the chain's start, without its time.
 
-    It ends at the tolerance, or at a point that is `enough`: only once the barrier parameter is within the
-    tolerance, so that no cost of the barrier is left to gain.
+    tolerance: of gaps, slopes of the Lagrangian and complementarity; below 1e-6 rounding decides.
     """
     problem, memory, method = chain.problem, chain.memory, chain.method
     known = problem.multipliers
@@ -39,18 +35,14 @@ def solve_chain(
     here = ctypes.byref(memory)
     with held_interrupts():  # C cannot pass on what its callback raises
         code = int(method.begin(here))
-    iterations, calm, cost = 0, 0, np.inf
-    while code == _RUNNING and iterations < max_iterations and calm < _CALM_ITERATIONS:
+    iterations = 0
+    while code == _RUNNING and iterations < max_iterations:
         with held_interrupts():
             code = int(method.iterate(here))
         iterations += code == _RUNNING
-        before, cost = cost, memory.objective
-        near = enough is not None and memory.mu <= tolerance and memory.greatest <= enough.gap
-        calm = calm + 1 if near and abs(cost - before) < enough.change * abs(cost) else 0
-    status = SolveStatus.ACCEPTABLE if calm == _CALM_ITERATIONS else _STATUS[code]
     x, u, h = chain.point()
     return Solution(
-        status=status,
+        status=_STATUS[code],
         x=x,
         u=u,
         h=h,

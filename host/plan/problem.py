@@ -77,18 +77,6 @@ class Problem:
         return self.h_bounds != (1.0, 1.0)
 
 
-@dataclass(frozen=True, kw_only=True)
-class Enough:
-    """When a point is acceptable.
-
-    In two iterations in a row the relative change of the cost was below `change`, with every row met within
-    `gap`.
-    """
-
-    change: float
-    gap: float
-
-
 class SolveStatus(Enum):
     """The outcome of a solve; the value is a message for people."""
 

@@ -48,8 +48,7 @@ class Settings:
     relative_weights: weights are in units of the mean squared residual along the min-snap path (at least
     0.5 m/s^2 squared), so that a small drag is avoided as thoroughly as a large one; False takes them as they
     are. step_box: bounds of a step in units of its nominal value. total_time_box: bounds of the total time in
-    units of the route's. enough: relative change of the cost, in two iterations in a row, at which a point
-    that meets its rows within the tolerance is acceptable; 0 for never. Coarser grids have ten tolerances.
+    units of the route's. tolerance: of constraints and optimality.
     rounds: how often the problem may be solved, each time in a tighter box.
     """
 
@@ -58,7 +57,6 @@ class Settings:
     step_box: tuple[float, float] = (0.7, 1.4)
     total_time_box: tuple[float, float] = (1.0, 1.0)
     tolerance: float = 1e-3
-    enough: float = 1e-3
     iterations_max: int = 300
     rounds: int = 12
 

@@ -22,7 +22,7 @@ from trimtab.host.plan.heading import yaw_nodes
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.job import Effort, Job
 from trimtab.host.plan.judge import Judged, measure
-from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
+from trimtab.host.plan.problem import Problem, Solution, SolveStatus
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import MINIMISED, Plan, PlanRefused, PlanUnsolved
@@ -57,8 +57,6 @@ _PATIENCE = 4
 its heading still changes."""
 _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which the next round starts from an unfinished iterate."""
-_COARSE = 10.0
-"""Tolerance of a coarser grid, which only gives a start, in units of the finest one's."""
 _TRACKABLE = 0.95
 """Share of the limits of tilt and jerk for a path to track; the tracking plan needs the rest."""
 _REMEDY = "give it more time, headroom or nodes"
@@ -207,14 +205,12 @@ class _Run:
         """Return the last iterate on a grid, from a coarser one's solution where there is one."""
         self.problem = self.make_problem(grid, before)
         settings = self.job.settings
-        tolerance = settings.tolerance * (1.0 if grid is self.grid else _COARSE)
         solution = solve(
             self.engine,
             self.problem,
             keep_out=self.job.route.keep_out,
-            tolerance=tolerance,
+            tolerance=settings.tolerance,
             max_iterations=settings.iterations_max,
-            enough=Enough(change=settings.enough, gap=tolerance),
         )
         self.iterations += solution.iterations
         if self.rounds == 0:

@@ -15,7 +15,7 @@ from trimtab.host.codegen.compiler import wanted_compiler
 from trimtab.host.plan.chain import Chain
 from trimtab.host.plan.interior_point import solve_chain
 from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.problem import Enough, Problem, Solution, SolveStatus
+from trimtab.host.plan.problem import Problem, Solution, SolveStatus
 from trimtab.host.plan.transcription import Assembly
 from trimtab.host.route.shapes import Shape
 
@@ -118,13 +118,12 @@ def solve(
     keep_out: Sequence[Shape] = (),
     tolerance: float,
     max_iterations: int,
-    enough: Enough | None = None,
     solver: Solver | None = None,
 ) -> Solution:
     """Return the local optimum from the given start.
 
     Our method solves where there is a compiler, and Ipopt where it does not converge or there is none;
-    `solver` selects one of them. enough: when our method may stop early. `solve_s` is the processor time of
+    `solver` selects one of them. `solve_s` is the processor time of
     both; it alone varies.
     """
     started = time.process_time()
@@ -132,7 +131,7 @@ def solve(
     solution: Solution | None = None
     if solver != "ipopt" and compiler is not None and engine.kernel is not None:
         chain = Chain(engine.model, engine.kernel, compiler, problem, keep_out)
-        solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations, enough=enough)
+        solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations)
     if solution is None or (solver is None and not solution.status.usable):
         solution = _ipopt(Assembly(engine, problem, keep_out), tolerance, max_iterations)
     return replace(solution, solve_s=time.process_time() - started)
