@@ -22,7 +22,7 @@
 #define T_AT (NX + FREE)                            /* the time in x */
 
 #define DELTA 1e-6            /* inverse weight of equations between a stage's unknowns */
-#define PUSH 1e-2             /* least distance of a start from its bounds: of 1, the bound or the range */
+#define PUSH 1e-3             /* least distance of a start from its bounds: of 1, the bound or the range */
 #define BOUNDARY 0.99         /* share of the way to a bound that a step may take */
 #define BARRIER_FALL 0.2      /* factors and power of the barrier parameter's decrease */
 #define BARRIER_POWER 1.5

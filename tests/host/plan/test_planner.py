@@ -493,8 +493,8 @@ def test_shipped_routes_can_be_planned_for_every_vehicle(route: str, vehicle: st
     assert made.stretch < (1.0 + 1e-9 if vehicle == "research" else 1.4)
 
 
-def test_a_solve_that_would_never_end_is_left_to_the_other_solver(require) -> None:
-    # Fifty legs of four intervals: on the way Fatrop meets rows it takes for dependent, and searches on.
+def test_many_short_legs_are_planned(require) -> None:
+    # Fifty legs of four intervals: hardly a stage has freedom, and eliminated rows would appear dependent.
     require("compiler")
     points = tuple((0.02 * k, 0.3 * (k % 2), -1.0) for k in range(52))
     made = plan(Route(name="zigzag", waypoints_m=points, total_time_s=40.0), VEHICLE, kind="min-control")
@@ -552,7 +552,7 @@ def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
                 nodes=60,
             )
         )  # fmt: skip
-    assert made[0].residual_rms_m_s2 == pytest.approx(made[1].residual_rms_m_s2, rel=0.01)
+    assert made[0].residual_rms_m_s2 == pytest.approx(made[1].residual_rms_m_s2, rel=0.02)
 
 
 @pytest.mark.usefixtures("virtual_machine")

@@ -11,15 +11,12 @@ import pytest
 
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import Places
-from trimtab.host.plan.planner import make_job
-from trimtab.host.plan.problem import Enough, Problem, SolveStatus
-from trimtab.host.plan.rounds import first_round
+from trimtab.host.plan.problem import Problem, SolveStatus
 from trimtab.host.plan.solver import Solver, solve
 from trimtab.host.plan.stage import StageModel
 from trimtab.host.plan.transcription import Assembly
-from trimtab.host.route import Gate, random_route
+from trimtab.host.route import Gate
 from trimtab.host.route.shapes import Sphere
-from trimtab.host.vehicle import load_vehicle
 
 INF = np.inf
 
@@ -67,7 +64,7 @@ def _problem(
 
 
 def _solve(model: StageModel, problem: Problem, iterations: int = 200, solver: Solver | None = None):
-    return solve(Engine(model), problem, tolerance=1e-9, max_iterations=iterations, solver=solver)
+    return solve(Engine(model), problem, tolerance=1e-6, max_iterations=iterations, solver=solver)
 
 
 def _point() -> StageModel:
@@ -167,22 +164,10 @@ def _gates_alone(count: int) -> Problem:
     return replace(problem, path_bounds=(low[:5], high[:5]))
 
 
-def test_solve_may_stop_where_its_cost_hardly_changes(require) -> None:
-    require("compiler")
-    job = make_job(random_route(3), load_vehicle("research"), kind="min-control")
-    engine, problem, _ = first_round(job, nodes=60)
-    end = solve(engine, problem, tolerance=1e-9, max_iterations=200)
-    soon = solve(engine, problem, tolerance=1e-9, max_iterations=200, enough=Enough(change=1e-2, gap=1e-3))
-    assert (end.status, soon.status) == (SolveStatus.SOLVED, SolveStatus.ACCEPTABLE)
-    assert soon.iterations < end.iterations
-    assert soon.violation <= 1e-3
-    assert soon.cost == pytest.approx(end.cost, rel=0.05)
-
-
 @pytest.mark.parametrize("solver", ["interior point", "ipopt"])
 def test_solve_passes_gates_where_their_rows_say(solver: Solver, require) -> None:
     require("compiler")
-    solution = solve(Engine(_point()), _gates_alone(30), tolerance=1e-8, max_iterations=200, solver=solver)
+    solution = solve(Engine(_point()), _gates_alone(30), tolerance=1e-6, max_iterations=200, solver=solver)
     assert solution.status.usable
     frame = Gate(waypoint=1, width_m=2.0, height_m=2.0, heading_deg=30.0).frame()
     along, right, _ = frame @ (solution.x[:, 10] - [0.4, 0.0, 0.0])
@@ -219,8 +204,8 @@ def test_both_solvers_find_the_same_optimum(case: str, require) -> None:
     first, second = (_solve(_cart(), bounded, solver=solver) for solver in ("interior point", "ipopt"))
     assert (first.solver, second.solver) == ("interior point", "ipopt")
     assert first.status is second.status is SolveStatus.SOLVED
-    assert first.cost == pytest.approx(second.cost, rel=1e-6)
-    np.testing.assert_allclose(first.x, second.x, atol=2e-5)
+    assert first.cost == pytest.approx(second.cost, rel=1e-4)
+    np.testing.assert_allclose(first.x, second.x, atol=1e-4)
 
 
 def test_an_interrupt_while_places_are_evaluated_is_raised(require, monkeypatch) -> None:
@@ -281,7 +266,7 @@ def test_solve_keeps_path_and_step_bounds() -> None:
     solution = _solve(_cart(), replace(problem, path_bounds=(low, np.minimum(high, 1.2))))
     assert solution.x[1].max() <= 1.2 + 1e-7
     assert (solution.h >= 0.5 - 1e-7).all()
-    assert solution.t_s[-1] == pytest.approx(1.0, abs=1e-9)
+    assert solution.t_s[-1] == pytest.approx(1.0, abs=1e-7)
 
 
 def test_solve_without_a_way_says_infeasible() -> None:
