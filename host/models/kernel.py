@@ -43,7 +43,7 @@ def source(phi: Phi, layout: Layout | None) -> str:
     sizes = {"SIZE": phi.size, "ROWS": DRIVE_ROWS[phi.drive], "NETWORK": int(layout is not None)}
     forward: list[str] = []
     if layout is not None:
-        functions |= _network_ends(layout)
+        functions |= network_ends(layout)
         sizes |= {"SEEN": layout.sizes[0], "UNITS": sum(layout.hidden)}
         unit = weight = 0
         for inputs, outputs in pairwise(layout.sizes):
@@ -58,7 +58,7 @@ def source(phi: Phi, layout: Layout | None) -> str:
     return "\n".join([RK4, LAYERS, *emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
 
 
-def _network_ends(layout: Layout) -> dict[str, ca.Function]:
+def network_ends(layout: Layout) -> dict[str, ca.Function]:
     """Return the network's inputs and its acceleration as functions of v_ned and Theta."""
     state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
     seen = ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state)))
@@ -81,10 +81,10 @@ class RolloutKernel:
         self,
         xi: Annotated[np.ndarray, "weights"] | None,
         x0: Annotated[np.ndarray, "size lanes"],
-        drive: Annotated[np.ndarray, "stages rows flights"],
+        drive: Annotated[np.ndarray, "stages inputs flights"],
         flight_of: Annotated[np.ndarray, "lanes"] | None,
         flight: Annotated[np.ndarray, "15 lanes"],
-        theta: Annotated[np.ndarray, "parameters lanes"],
+        theta: Annotated[np.ndarray, "parameters lanes"] | None,
         push: Annotated[np.ndarray, "stages 3 lanes"] | None,
         *,
         step_s: float,
@@ -94,8 +94,8 @@ class RolloutKernel:
     ) -> None:
         """Roll out one group of LANES lanes into `samples`, which may be a part of a larger array.
 
-        drive: of as many flights as lanes, or of those that `flight_of` names. stages: room for 4 stages of
-        each step, which are stored; None to store nothing.
+        drive: of as many flights as lanes, or of those that `flight_of` names. theta: None without
+        parameters. stages: room for 4 stages of each step, which are stored; None to store nothing.
         """
         store = stages is not None
         room = aligned((self.stage_bytes // 2,)) if stages is None else stages
