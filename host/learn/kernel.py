@@ -19,7 +19,7 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.ops import CASADI
-from trimtab.host.codegen.simd import LAYERS, lane_source, simd_library
+from trimtab.host.codegen.simd import LAYERS, lane_count, lane_source, simd_library
 from trimtab.host.models.drive import DRIVE_ROWS
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
@@ -32,10 +32,11 @@ _SOURCE = Path(__file__).parent / "kernel.c"
 
 @dataclass(frozen=True, kw_only=True)
 class Kernel:
-    """The library's two functions over one group of lanes, and the bytes of a stage."""
+    """The library's two functions over one group of lanes, their number, and the bytes of a stage."""
 
     roll_out: Callable[..., None]
     adjoint: Callable[..., None]
+    lanes: int
     stage_bytes: int
 
 
@@ -44,10 +45,15 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
     Raises CodegenError where the compiler fails.
     """
-    library = ctypes.CDLL(simd_library(source(phi, layout), compiler))
+    library = simd_library(source(phi, layout), compiler)
     library.roll_out.restype = library.adjoint.restype = None
     library.stage_bytes.restype = ctypes.c_long
-    return Kernel(roll_out=library.roll_out, adjoint=library.adjoint, stage_bytes=int(library.stage_bytes()))
+    return Kernel(
+        roll_out=library.roll_out,
+        adjoint=library.adjoint,
+        lanes=lane_count(library),
+        stage_bytes=int(library.stage_bytes()),
+    )
 
 
 def source(phi: Phi, layout: Layout) -> str:
