@@ -1,10 +1,9 @@
 /* Gradient of paper Algorithm 1 over lanes. Behind rollout.c, which stores the stages, the functions products, seen_back
    and given_back, the sizes THETA and MEASURED and the layers' calls BACKWARD, GRADIENTS. */
 
-INLINE double across(V a) {
-    double s = 0.0;
-    for (int i = 0; i < LANES; ++i) s += a[i];
-    return s;
+/* Adds lane by lane, so a sum over all groups is in the order of the segments for any LANES. */
+INLINE void add_lanes(double *sum, V a) {
+    for (int i = 0; i < LANES; ++i) *sum += a[i];
 }
 
 /* gradient[j][i] += sum over stages and lanes of back[j] u[i]; the last column is the bias's. */
@@ -27,12 +26,12 @@ static void products_of(double *gradient, const Stage *stages, long count, int u
                 }
             }
             for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p)
-                gradient[(long)(j + q) * (inputs + 1) + i + p] += across(s[q][p]);
+                add_lanes(gradient + (long)(j + q) * (inputs + 1) + i + p, s[q][p]);
         }
         for (int q = 0; q < nj; ++q) {
             V s = splat(0.0);
             for (long k = 0; k < count; ++k) s += stages[k].back[b0 + j + q];
-            gradient[(long)(j + q) * (inputs + 1) + inputs] += across(s);
+            add_lanes(gradient + (long)(j + q) * (inputs + 1) + inputs, s);
         }
     }
 }

@@ -43,7 +43,7 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
     Raises CodegenError where the compiler fails.
     """
-    library = ctypes.CDLL(simd_library(source(phi, layout), compiler))
+    library = simd_library(source(phi, layout), compiler)
     library.adjoint.restype = None
     return Kernel(roll_out=RolloutKernel(library), adjoint=library.adjoint)
 

@@ -20,10 +20,10 @@ import numpy as np
 from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.codegen.simd import (
-    LANES,
     LAYERS,
     RK4,
     aligned,
+    lane_count,
     lane_source,
     pointer,
     simd_library,
@@ -70,12 +70,13 @@ def network_ends(layout: Layout) -> dict[str, ca.Function]:
 
 
 class RolloutKernel:
-    """The function `roll_out` of a library with `rollout.c`."""
+    """The function `roll_out` of a library with `rollout.c`. lanes: of a group."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         library.roll_out.restype, library.stage_bytes.restype = None, ctypes.c_long
         self._roll_out: Callable[..., None] = library.roll_out
         self.stage_bytes = int(library.stage_bytes())
+        self.lanes = lane_count(library)
 
     def __call__(  # noqa: PLR0913 (the data of one problem)
         self,
@@ -92,7 +93,7 @@ class RolloutKernel:
         stages: np.ndarray | None,
         samples: Annotated[np.ndarray, "samples rows lanes"],
     ) -> None:
-        """Roll out one group of LANES lanes into `samples`, which may be a part of a larger array.
+        """Roll out one group of lanes into `samples`, which may be a part of a larger array.
 
         drive: of as many flights as lanes, or of those that `flight_of` names. theta: None without
         parameters. stages: room for 4 stages of each step, which are stored; None to store nothing.
@@ -103,7 +104,7 @@ class RolloutKernel:
             pointer(xi), pointer(x0), pointer(drive), ctypes.c_long(drive.shape[2]), pointer(flight_of),
             pointer(flight), pointer(theta), pointer(push), ctypes.c_long(len(drive) // 2),
             ctypes.c_double(step_s), ctypes.c_long(every), ctypes.c_int(store), pointer(room),
-            ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * LANES)),
+            ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * self.lanes)),
             pointer(samples),
         )  # fmt: skip
 
@@ -127,4 +128,4 @@ def rollout_kernel(phi: Phi, layout: Layout | None) -> RolloutKernel | None:
 
 @lru_cache(maxsize=16)
 def _compiled(phi: Phi, layout: Layout | None, compiler: Compiler) -> RolloutKernel:
-    return RolloutKernel(ctypes.CDLL(simd_library(source(phi, layout), compiler)))
+    return RolloutKernel(simd_library(source(phi, layout), compiler))

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.compiler import wanted_compiler
-from trimtab.host.codegen.simd import LANES, aligned
+from trimtab.host.codegen.simd import aligned
 from trimtab.host.plan.kernel import Kernel, kernel
 from trimtab.host.plan.stage import Stage, StageModel, build_stage
 
@@ -127,23 +127,23 @@ class _Lanes:
     """Intervals in lanes of the C kernel."""
 
     def __init__(self, model: StageModel, made: Kernel, h0_s: Array, parameters: Array) -> None:
-        self._kernel = made
+        self._kernel, lanes = made, made.lanes
         count, nx, nu = len(h0_s), model.nx, model.nu
         nz = nx + nu + 1
-        self._groups = -(-count // LANES)
+        self._groups = -(-count // lanes)
         # Lanes beyond the last interval repeat the first, so their numbers are finite; nobody reads them.
-        lane = np.zeros(self._groups * LANES, dtype=np.int64)
+        lane = np.zeros(self._groups * lanes, dtype=np.int64)
         lane[:count] = np.arange(count)
         self._lane = lane
-        self._shape = (self._groups, LANES)
-        self._z = aligned((self._groups, nz + 1 + model.np, LANES))
+        self._shape = (self._groups, lanes)
+        self._z = aligned((self._groups, nz + 1 + model.np, lanes))
         self._z[:, nz] = h0_s[lane].reshape(self._shape)
         self._z[:, nz + 1 :] = parameters[:, lane].reshape(model.np, *self._shape).swapaxes(0, 1)
         self._nx, self._nu = nx, nu
         self._xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
-        self._sigma = aligned((1, LANES))
-        self._lam_x = aligned((self._groups, nx, LANES))
-        self._lam_path = aligned((self._groups, made.rows, LANES))
+        self._sigma = aligned((1, lanes))
+        self._lam_x = aligned((self._groups, nx, lanes))
+        self._lam_path = aligned((self._groups, made.rows, lanes))
         pattern = made.pattern
         self.x_next = self._output(count, np.ones((nx, 1), dtype=bool))
         self.cost = self._output(count, np.ones((1, 1), dtype=bool))
@@ -165,12 +165,13 @@ class _Lanes:
     def _placed(self, count: int, size: int, entries: Index, rows: Index, columns: Index) -> Output:
         """Return an output of `size` numbers in each lane; `entries` of them are read."""
         k = np.arange(count)[:, None]
-        at = (k // LANES) * (size * LANES) + entries * LANES + k % LANES
-        flat = aligned((self._groups, size, LANES)).reshape(-1)
+        lanes = self._kernel.lanes
+        at = (k // lanes) * (size * lanes) + entries * lanes + k % lanes
+        flat = aligned((self._groups, size, lanes)).reshape(-1)
         return Output(flat=flat, at=at, rows=rows, columns=columns)
 
     def _in_lanes(self, rows: Array) -> Array:
-        """Return (groups, columns, LANES) of (N, columns)."""
+        """Return (groups, columns, lanes) of (N, columns)."""
         return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
 
     def set(

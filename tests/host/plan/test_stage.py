@@ -256,6 +256,22 @@ def _evaluated(
     ]
 
 
+def test_results_are_the_same_bits_for_any_number_of_lanes(compiler_of_width, monkeypatch) -> None:
+    dynamics = _dynamics(False, "body")
+    model, count = dynamics.stage_model(minimise="residual"), 11
+    x, u, h, h0_s, p = _points(dynamics, count, model.nx)
+    results = []
+    for lanes in (2, 4, 8):
+        monkeypatch.setattr(
+            "trimtab.host.codegen.compiler.find_compiler", lambda lanes=lanes: compiler_of_width(lanes)
+        )
+        intervals = Engine(model, "c").over(h0_s, p)
+        rows, rng = intervals.path.rows.size, np.random.default_rng(5)
+        weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
+        results.append([part.tobytes() for part in _evaluated(intervals, rows, (x.T, u.T, h), weights)])
+    assert results[1:] == results[:1] * 2
+
+
 def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
     first = _dynamics(True, "world", (*_LOADS["torque"], *_LOADS["force and torque"]))
     layout = Layout(hidden=(8, 5))
