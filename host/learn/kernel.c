@@ -62,7 +62,7 @@ void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, 
         memcpy(before, costate, sizeof before);
         for (int q = 3; q >= 0; --q) {
             for (int i = 0; i < SIZE; ++i) {
-                back[i] = h * SHARE[q] / 6.0 * costate[i];
+                back[i] = h * WEIGHT[q] * costate[i];
                 if (q < 3) back[i] += h * ALONG[q + 1] * later[i];
             }
             memset(later, 0, sizeof later);

@@ -51,9 +51,9 @@ void roll_out(const double *xi, const V *x0, const double *drive, long flights, 
                     for (int l = 0; l < LANES; ++l) gathered[i][l] = row[of[l]];
             rk4_at(SIZE, q, splat(h), x, slope, s->x);
             slope_of(xi, s, of ? gathered : (const V *)row, flight, theta, push ? push + half * GIVEN : 0, slope);
-            rk4_sum(SIZE, q, slope, total);
+            for (int i = 0; i < SIZE; ++i) total[i] = (q ? total[i] : splat(0.0)) + WEIGHT[q] * slope[i];
         }
-        for (int i = 0; i < SIZE; ++i) x[i] += h / 6.0 * total[i];
+        for (int i = 0; i < SIZE; ++i) x[i] += h * total[i];
         if ((k + 1) % every == 0)
             for (long i = 0; i < rows; ++i) samples[((k + 1) / every * rows + i) * stride] = x[i];
     }

@@ -20,17 +20,18 @@ from trimtab.host.models.phi import Phi
 ALONG = (0.0, 0.5, 0.5, 1.0)
 """Where RK4 evaluates the slope, in steps."""
 
-SHARE = (1.0, 2.0, 2.0, 1.0)
-"""Sixths of the step for which each slope counts."""
+WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
+"""Share of each slope in the step."""
 
 
 def rk4(slope: Callable[[Any, int], Any], x: Any, step: Any) -> Any:
     """Return x after a step. slope(x, half): the derivative, at half step 0, 1 or 2."""
-    rate = total = slope(x, 0)
-    for along, share in zip(ALONG[1:], SHARE[1:], strict=True):
+    rate = slope(x, 0)
+    total = WEIGHT[0] * rate
+    for along, weight in zip(ALONG[1:], WEIGHT[1:], strict=True):
         rate = slope(x + along * step * rate, round(2 * along))
-        total = total + share * rate
-    return x + step / 6.0 * total
+        total = total + weight * rate
+    return x + step * total
 
 
 @lru_cache(maxsize=8)

@@ -19,7 +19,7 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.simd import LAYERS, lane_count, lane_source, simd_library
+from trimtab.host.codegen.simd import LAYERS, RK4, lane_count, lane_source, simd_library
 from trimtab.host.models.network import Layout
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
 
@@ -204,7 +204,7 @@ class _Parts:
         tables.append(_table("ACTIVE_ROW", active))
         emitted = [lane_source(function, name) for name, function in functions.items()]
         defines = [f"#define {name} {value}" for name, value in sizes.items()] + defines
-        return "\n".join([LAYERS, *emitted, *defines, *tables, _SOURCE.read_text(encoding="utf-8")])
+        return "\n".join([RK4, LAYERS, *emitted, *defines, *tables, _SOURCE.read_text(encoding="utf-8")])
 
 
 def _emitted(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
