@@ -16,8 +16,7 @@ import casadi as ca
 
 from trimtab.host.codegen.batch import vectorised
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.ops import CASADI
-from trimtab.host.models.network import Layout, Network
+from trimtab.host.models.network import Network
 from trimtab.host.models.step import rk4
 
 NETWORK_INPUTS = slice(3, 9)  # v_ned and Theta in the state
@@ -62,29 +61,6 @@ class Stage:
     gradient: ca.Function
     slopes: ca.Function
     hessian: ca.Function
-
-
-def network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """Return the network's inputs from v_ned and Theta, its acceleration from its outputs, and derivatives.
-
-    `kernel.c` calls them by these names. seen(state): inputs (n,). dseen(state): (n, 6). ddseen(state, eta):
-    Hessian (6, 6) of eta' seen. given(state, out): acceleration (3,). dgiven(state, out): (3, 6), (3, 3).
-    ddgiven(state, out, mu): Hessian of mu' given, by state and state (6, 6), by out and state (3, 6).
-    """
-    state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
-    mu, eta = ca.SX.sym("mu", 3), ca.SX.sym("eta", layout.sizes[0])
-    network_inputs = ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state)))
-    acceleration = ca.vertcat(*layout.acceleration(CASADI, ca.vertsplit(state), ca.vertsplit(out)))
-    slope = ca.gradient(ca.dot(mu, acceleration), state)
-    parts = {
-        "seen": ([state], [network_inputs]),
-        "dseen": ([state], [ca.jacobian(network_inputs, state)]),
-        "ddseen": ([state, eta], [ca.hessian(ca.dot(eta, network_inputs), state)[0]]),
-        "given": ([state, out], [acceleration]),
-        "dgiven": ([state, out], [ca.jacobian(acceleration, state), ca.jacobian(acceleration, out)]),
-        "ddgiven": ([state, out, mu], [ca.jacobian(slope, state), ca.jacobian(slope, out).T]),
-    }
-    return {name: ca.Function(name, inputs, outputs) for name, (inputs, outputs) in parts.items()}
 
 
 @held_interrupts()
