@@ -1,8 +1,9 @@
 """A shooting problem as a chain of stages in fixed memory, as `interior_point.c` takes it.
 
-The unknowns of stage k are the states, the step size and the elapsed time, then the inputs and the step size of
-the next leg. Where steps are given, there is neither step size nor time; where the total time is not bounded,
-there is no time. All stages are alike: a leg's intervals hand on their step size, and its last one sets the next.
+The unknowns of a stage are the states, the step size and the elapsed time, then the inputs and the step size
+of the next leg. Where steps are given, there is neither step size nor time; where the total time is not
+bounded, there is no time. All stages are alike: the intervals of a leg hand on their step size, and the last
+one sets that of the next leg.
 """
 
 from __future__ import annotations
@@ -16,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.codegen.compiler import Compiler
-from trimtab.host.codegen.simd import LANES, aligned, simd_library
+from trimtab.host.codegen.simd import aligned, simd_library
 from trimtab.host.plan.kernel import Kernel
 from trimtab.host.plan.places import Places
 from trimtab.host.plan.problem import Multipliers, Problem
@@ -85,7 +86,7 @@ class Chain:
         self._call = _PLACES(self._evaluate_places)
         self.memory = Memory(
             count=self.count,
-            groups=-(-self.count // LANES),
+            groups=len(self._arrays["z"]),
             parameters=model.np,
             places=0 if self._places is None else self._places.rows,
             filter_size=_FILTER_SIZE,
@@ -98,12 +99,13 @@ class Chain:
     def _lanes(self, model: StageModel, kernel: Kernel) -> dict[str, NDArray[Any]]:
         """Return the arrays over lanes; lanes beyond the last interval repeat the first."""
         p, nz = self.problem, model.nx + model.nu + 1
-        groups = -(-self.count // LANES)
-        lane = np.zeros(groups * LANES, dtype=np.int64)
+        lanes = kernel.lanes
+        groups = -(-self.count // lanes)
+        lane = np.zeros(groups * lanes, dtype=np.int64)
         lane[: self.count] = np.arange(self.count)
-        z = aligned((groups, nz + 1 + model.np, LANES))
-        z[:, nz] = p.h0_s[lane].reshape(groups, LANES)
-        z[:, nz + 1 :] = p.parameters[:, lane].reshape(model.np, groups, LANES).swapaxes(0, 1)
+        z = aligned((groups, nz + 1 + model.np, lanes))
+        z[:, nz] = p.h0_s[lane].reshape(groups, lanes)
+        z[:, nz + 1 :] = p.parameters[:, lane].reshape(model.np, groups, lanes).swapaxes(0, 1)
         sizes = {
             "x_next": model.nx,
             "cost": 1,
@@ -116,8 +118,8 @@ class Chain:
             "path_lam": kernel.rows,
         }
         xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
-        arrays = {name: aligned((groups, size, LANES)) for name, size in sizes.items()}
-        return arrays | {"xi": xi, "z": z, "sigma": aligned((1, LANES))}
+        arrays = {name: aligned((groups, size, lanes)) for name, size in sizes.items()}
+        return arrays | {"xi": xi, "z": z, "sigma": aligned((1, lanes))}
 
     def _of_places(self) -> dict[str, NDArray[Any]]:
         rows = 0 if self._places is None else self._places.rows
@@ -230,7 +232,7 @@ def _method(model: StageModel, kernel: Kernel, compiler: Compiler, free: int, ti
         values = ", ".join(map(str, numbers.tolist())) or "0"
         lines.append(f"static const int PATH_{name}[] = {{{values}}};")
     source = "\n".join([*lines, _SOURCE.read_text(encoding="utf-8")])
-    method = ctypes.CDLL(simd_library(source, compiler))
+    method = simd_library(source, compiler)
     for name in ("stage_bytes", "ahead_bytes"):
         getattr(method, name).restype = ctypes.c_long
     return method

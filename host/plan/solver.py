@@ -1,4 +1,4 @@
-"""A problem's local optimum from its start: by our interior point method, by Ipopt where it does not converge."""
+"""A problem's local optimum from its start: by our interior point method, or else by Ipopt."""
 
 from __future__ import annotations
 
