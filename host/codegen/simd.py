@@ -23,6 +23,9 @@ _HERE = Path(__file__).parent
 PRELUDE = "".join((_HERE / name).read_text(encoding="utf-8") for name in ("simd.h", "elementary.h"))
 """C of vectors, whose width LANES it takes from the compiler's target."""
 
+RK4 = (_HERE / "rk4.h").read_text(encoding="utf-8")
+"""C of a Runge-Kutta step, which follows PRELUDE."""
+
 LAYERS = (_HERE / "layers.h").read_text(encoding="utf-8")
 """C of a network's layers, which follows PRELUDE."""
 
@@ -137,6 +140,11 @@ def rows_of(lanes: Annotated[np.ndarray, "... lanes"], count: int) -> np.ndarray
     """Return the first `count` rows (count, ...) of an array by `lanes_of`, contiguous."""
     rows = np.ascontiguousarray(np.moveaxis(lanes, -1, 1))
     return rows.reshape(-1, *rows.shape[2:])[:count]
+
+
+def pointer(array: np.ndarray | None) -> ctypes.c_void_p:
+    """Return the address of an array's numbers, of None a null pointer."""
+    return ctypes.c_void_p(None if array is None else array.ctypes.data)
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:

@@ -7,9 +7,7 @@ import casadi as ca
 from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, ControlModel
 from trimtab.host.control.residual_network import network_functions
 from trimtab.host.models.airframe import V
-
-_ALONG = (0.0, 0.5, 0.5, 1.0)  # where RK4 evaluates, in steps
-_WEIGHT = (1 / 6, 2 / 6, 2 / 6, 1 / 6)
+from trimtab.host.models.step import ALONG, WEIGHT, rk4
 
 
 class Stage:
@@ -18,7 +16,7 @@ class Stage:
     def __init__(self, model: ControlModel) -> None:
         self._network = network_functions(model.network)
         x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)
-        p, step_s = ca.SX.sym("p", len(model.parameters)), ca.SX.sym("step_s")
+        p = ca.SX.sym("p", len(model.parameters))
         d, d_slope = ca.SX.sym("d", 3), ca.SX.sym("d_slope", 3, NETWORK_STATE.stop - NETWORK_STATE.start)
         slope = model.derivative(x, u, p, d)
         by_x, by_u = ca.jacobian(slope, x), ca.jacobian(slope, u)
@@ -31,12 +29,6 @@ class Stage:
         self._slopes = ca.Function(
             "slopes", [x, u, p, d, d_slope], [ca.densify(slope), by_x.nz[:], by_u.nz[:]], options
         )
-        k = [ca.SX.sym(f"k{i}", STATES) for i in range(4)]
-        self._end = ca.Function(
-            "end", [x, step_s, *k], [x + step_s / 6.0 * (k[0] + 2.0 * k[1] + 2.0 * k[2] + k[3])]
-        )
-        share = ca.SX.sym("share")
-        self._inside = ca.Function("inside", [x, step_s, share, k[0]], [x + share * step_s * k[0]])
         self._chain, self.sparsity_a, self.sparsity_b = _chain_rule(by_x.sparsity(), by_u.sparsity())
 
     def matrices(self, xi: ca.MX) -> list[ca.MX]:
@@ -45,27 +37,26 @@ class Stage:
 
     def next(self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, matrices: list[ca.MX]) -> ca.MX:
         """Return x_next."""
-        ks: list[ca.MX] = []
-        for share in _ALONG:
-            at = self._inside(x, step_s, share, ks[-1]) if ks else x
-            ks.append(self._slope(at, u, p, self._network.value(*matrices, at[NETWORK_STATE])))
-        return self._end(x, step_s, *ks)
+        return rk4(
+            lambda at, _: self._slope(at, u, p, self._network.value(*matrices, at[NETWORK_STATE])), x, step_s
+        )
 
     def linearised(
         self, x: ca.MX, u: ca.MX, step_s: ca.MX, p: ca.MX, matrices: list[ca.MX]
     ) -> tuple[ca.MX, ca.MX, ca.MX]:
         """Return x_next and the nonzeros of its Jacobians in x and u."""
-        ks: list[ca.MX] = []
         by_x: list[ca.MX] = []
         by_u: list[ca.MX] = []
-        for share in _ALONG:
-            at = self._inside(x, step_s, share, ks[-1]) if ks else x
+
+        def slope(at: ca.MX, _: int) -> ca.MX:
             k, a, b = self._slopes(at, u, p, *self._network.slopes(*matrices, at[NETWORK_STATE]))
-            ks.append(k)
             by_x.append(a)
             by_u.append(b)
+            return k
+
+        x_next = rk4(slope, x, step_s)
         a_nz, b_nz = self._chain(step_s, *by_x, *by_u)
-        return self._end(x, step_s, *ks), a_nz, b_nz
+        return x_next, a_nz, b_nz
 
 
 def _chain_rule(
@@ -77,7 +68,7 @@ def _chain_rule(
     us = [ca.SX.sym(f"u{i}", sparsity_u.nnz()) for i in range(4)]
     a, b = ca.SX(STATES, STATES), ca.SX(STATES, INPUTS)
     total_a, total_b = ca.SX(STATES, STATES), ca.SX(STATES, INPUTS)
-    for x_nz, u_nz, share, weight in zip(xs, us, _ALONG, _WEIGHT, strict=True):
+    for x_nz, u_nz, share, weight in zip(xs, us, ALONG, WEIGHT, strict=True):
         by_x = ca.SX(sparsity_x, x_nz)
         at_b = share * step_s * b
         a = by_x @ (ca.SX.eye(STATES) + share * step_s * a)

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 
 from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
-from trimtab.host.codegen.simd import aligned, lanes_of, rows_of
+from trimtab.host.codegen.simd import aligned, lanes_of, pointer, rows_of
 from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
-from trimtab.host.learn.kernel import MEASURED, kernel, pointer, pointers
+from trimtab.host.learn.kernel import MEASURED, kernel, pointers
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
@@ -61,10 +61,11 @@ class LaneRollouts:
         self.phi, self.layout, self.step_s = phi, layout, step_s
         self.weight = np.asarray(weight, dtype=float)
         self._kernel = kernel(phi, layout, compiler)
-        self._lanes = self._kernel.lanes
+        self._lanes = self._kernel.roll_out.lanes
         self._theta = aligned((max(1, len(theta)), self._lanes))
         self._theta[: len(theta)] = np.asarray(theta)[:, None]
-        self._stages, self._still = aligned((0,)), aligned((0,))
+        self._roll = partial(self._kernel.roll_out, step_s=step_s, every=1)
+        self._stages = aligned((0,))
 
     def roll_out(
         self,
@@ -80,18 +81,14 @@ class LaneRollouts:
         """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
         drive, flight = (lanes_of(rows, self._lanes) for rows in (segments.drive, segments.constants))
         groups, steps = len(drive), segments.steps
-        states, xi = (
-            aligned((groups, steps + 1, self.phi.size, self._lanes)),
-            np.zeros(self.layout.size),
-        )
-        stages = aligned((self._kernel.stage_bytes // 2,))
+        states = aligned((groups, steps + 1, self.phi.size, self._lanes))
+        xi = np.zeros(self.layout.size)
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             start, pushes = lanes_of(x0, self._lanes), lanes_of(push, self._lanes)
-            thetas = aligned((groups, max(1, theta.shape[1]), self._lanes))
-            thetas[:, : theta.shape[1]] = lanes_of(theta, self._lanes) if theta.shape[1] else 0.0
-            inputs = (*map(pointers, (start, drive, flight, thetas, pushes)), [pointer(stages)] * groups)
-            self._roll(xi, steps, (*inputs, pointers(states)), store=False)
+            thetas = lanes_of(theta, self._lanes) if theta.shape[1] else [None] * groups
+            for x, d, c, of, a, out in zip(start, drive, flight, thetas, pushes, states, strict=True):
+                self._roll(xi, x, d, None, c, of, a, stages=None, samples=out)
             return rows_of(states, len(x0))
 
         return roll
@@ -115,12 +112,12 @@ class LaneRollouts:
         pull[-1, :, :, self._lanes - unused :] = 0.0
         of_xi, costate = np.zeros(len(xi)), aligned((len(states), self.phi.size, self._lanes))
         of_theta = aligned((len(states), *self._theta.shape))
-        weights, theta, still = pointer(xi), pointer(self._theta), pointer(self._still)
+        weights, theta = pointer(xi), pointer(self._theta)
         steps, step_s = ctypes.c_long(segments.steps), ctypes.c_double(self.step_s)
         rows = (drive, flight, self._stages, pull, costate, of_theta)
         for d, c, stages, vjp, back, theta_back in zip(*map(pointers, rows), strict=True):
             self._kernel.adjoint(
-                weights, d, c, theta, still, steps, step_s, stages, vjp, back, pointer(of_xi), theta_back,
+                weights, d, c, theta, steps, step_s, stages, vjp, back, pointer(of_xi), theta_back,
             )  # fmt: skip
         return Gradient(
             loss=loss,
@@ -138,19 +135,9 @@ class LaneRollouts:
         )
         groups, steps = len(start), segments.steps
         states = aligned((groups, steps + 1, self.phi.size, self._lanes))
-        need = (groups, 4 * steps * self._kernel.stage_bytes // 8)
+        need = (groups, 4 * steps * self._kernel.roll_out.stage_bytes // 8)
         if self._stages.shape != need:
-            self._stages, self._still = aligned(need), aligned((2 * steps + 1, 3, self._lanes))
-        shared = ([pointer(array)] * groups for array in (self._theta, self._still))
-        inputs = (*map(pointers, (start, drive, flight)), *shared, pointers(self._stages))
-        self._roll(xi, steps, (*inputs, pointers(states)), store=True)
+            self._stages = aligned(need)
+        for x, d, c, stages, out in zip(start, drive, flight, self._stages, states, strict=True):
+            self._roll(xi, x, d, None, c, self._theta, None, stages=stages, samples=out)
         return states, (drive, flight)
-
-    def _roll(
-        self, xi: np.ndarray, steps: int, rows: Sequence[Sequence[ctypes.c_void_p]], *, store: bool
-    ) -> None:
-        """Roll out each group. rows: addresses of start, drive, constants, theta, push, stages, states."""
-        weights = pointer(xi)
-        sizes = ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(store)
-        for *inputs, stages, states in zip(*rows, strict=True):
-            self._kernel.roll_out(weights, *inputs, *sizes, stages, states)

@@ -1,6 +1,6 @@
 /* Shooting intervals over lanes: RK4 step, cost, path rows, and their exact derivatives (paper eqs. 10-11).
 
-   A lane is an interval, z = (x, u, h). Behind simd.h and layers.h, the functions f, df, ddf (dynamics), own, down
+   A lane is an interval, z = (x, u, h). Behind simd.h, rk4.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
    the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), HESSIAN (Hessian of f),
    PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK and RESIDUAL
@@ -91,13 +91,11 @@ typedef struct { V d[3]; } Net;
 /* One evaluation of the dynamics: where, the slope, what its derivatives need. S = d(x, u)/dz, K = d k/dz. */
 typedef struct { V x[NX], k[NX], a[A_NNZ], b[B_NNZ], S[NXU * NZ], K[NX * NZ]; Net net; } Evaluation;
 
-static const double ALONG[4] = {0.0, 0.5, 0.5, 1.0}, WEIGHT[4] = {1.0 / 6, 2.0 / 6, 2.0 / 6, 1.0 / 6};
-
 static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) {
     V step = *at.h * *at.h0;
     for (int i = 0; i < 4; ++i) {
         Evaluation *now = e + i, *last = e + i - 1;
-        for (int r = 0; r < NX; ++r) now->x[r] = i ? at.x[r] + ALONG[i] * step * last->k[r] : at.x[r];
+        rk4_at(NX, i, step, at.x, last->k, now->x);
         if (slopes) df(now->x, at.u, at.p, now->k, now->a, now->b);
         else f(now->x, at.u, at.p, now->k);
 #if DRIVEN

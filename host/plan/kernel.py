@@ -19,9 +19,10 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.simd import LAYERS, lane_count, lane_source, simd_library
+from trimtab.host.codegen.simd import LAYERS, RK4, lane_count, lane_source, simd_library
+from trimtab.host.models.kernel import network_ends
 from trimtab.host.models.network import Layout
-from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
+from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel
 
 _SOURCE = Path(__file__).parent / "kernel.c"
 
@@ -204,7 +205,7 @@ class _Parts:
         tables.append(_table("ACTIVE_ROW", active))
         emitted = [lane_source(function, name) for name, function in functions.items()]
         defines = [f"#define {name} {value}" for name, value in sizes.items()] + defines
-        return "\n".join([LAYERS, *emitted, *defines, *tables, _SOURCE.read_text(encoding="utf-8")])
+        return "\n".join([RK4, LAYERS, *emitted, *defines, *tables, _SOURCE.read_text(encoding="utf-8")])
 
 
 def _emitted(name: str, inputs: list[ca.SX], outputs: Sequence[ca.SX]) -> ca.Function:
@@ -236,13 +237,27 @@ def _table(name: str, numbers: np.ndarray) -> str:
 
 
 def _network_ends(layout: Layout) -> dict[str, ca.Function]:
-    """Return the network's ends as dense columns, matrices row by row."""
-    emitted = {}
-    for name, function in network_ends(layout).items():
-        inputs = function.sx_in()
-        outputs = function.call(inputs)
-        emitted[name] = _emitted(name, inputs, [output.T for output in outputs])
-    return emitted
+    """Return the network's inputs from v_ned and Theta, its acceleration from its outputs, and derivatives.
+
+    `kernel.c` calls them by these names. seen(state): inputs (n,). dseen(state): (n, 6). ddseen(state, eta):
+    Hessian (6, 6) of eta' seen. given(state, out): acceleration (3,). dgiven(state, out): (3, 6), (3, 3).
+    ddgiven(state, out, mu): Hessian of mu' given, by state and state (6, 6), by out and state (3, 6).
+    Matrices are columns, row by row.
+    """
+    ends = network_ends(layout)
+    state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
+    mu, eta = ca.SX.sym("mu", 3), ca.SX.sym("eta", layout.sizes[0])
+    seen, given = ends["seen"](state), ends["given"](state, out)
+    slope = ca.gradient(ca.dot(mu, given), state)
+    derivatives = {
+        "dseen": ([state], [ca.jacobian(seen, state)]),
+        "ddseen": ([state, eta], [ca.hessian(ca.dot(eta, seen), state)[0]]),
+        "dgiven": ([state, out], [ca.jacobian(given, state), ca.jacobian(given, out)]),
+        "ddgiven": ([state, out, mu], [ca.jacobian(slope, state), ca.jacobian(slope, out).T]),
+    }
+    for name, (inputs, outputs) in derivatives.items():
+        ends[name] = _emitted(name, inputs, [output.T for output in outputs])
+    return ends
 
 
 def _network_calls(layout: Layout) -> list[str]:
