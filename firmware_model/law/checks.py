@@ -2,7 +2,8 @@
 
 The check covers the flown path: the pieces between the nodes, septic in position and cubic in yaw, not only
 the nodes. It samples every piece at least every 12.5 ms, or 512 times in pieces longer than 6.4 s, and
-includes the thrust of every rotor from the flat outputs. Floats only.
+includes the thrust of every rotor from the flat outputs. An `Evaluator` computes the samples: the vehicle
+has ONE_BY_ONE, in floats; the host has one in arrays, with the same bits.
 """
 
 from __future__ import annotations
@@ -11,12 +12,13 @@ import math
 from bisect import bisect_left
 from collections.abc import Sequence
 from itertools import pairwise
+from typing import NamedTuple
 
 from trimtab.firmware_model.law.limits import Airframe, Limits
-from trimtab.firmware_model.law.reference import cubic_at
+from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason, ReferenceVerdict, refused
-from trimtab.firmware_model.law.scan import Node, YawNode, scan, yaw_piece
-from trimtab.firmware_model.law.smoothness import QUANTITIES, worst_misfit
+from trimtab.firmware_model.law.scan import Bounds, Node, Search, YawNode, least_margins, scan, yaw_piece
+from trimtab.firmware_model.law.smoothness import QUANTITIES, Deviations, deviations_one_by_one, worst_misfit
 
 REST = (1e-3, 1e-2, 1e-1)
 """Greatest speed, acceleration and jerk that count as rest: above the rounding to float32."""
@@ -24,6 +26,17 @@ REST_YAW_RATE = 1e-3
 """Greatest yaw rate that counts as rest."""
 NUMBER_MAX = 1e6
 """Greatest magnitude of a number in a node. Greater numbers are refused like NaN."""
+
+
+class Evaluator(NamedTuple):
+    """Evaluation of the equations at many places: least margins of samples, deviations of nodes."""
+
+    least_margins: Search
+    deviations: Deviations
+
+
+ONE_BY_ONE = Evaluator(least_margins=least_margins, deviations=deviations_one_by_one)
+"""One place after the other, in floats."""
 
 
 def check_reference(
@@ -35,6 +48,7 @@ def check_reference(
     *,
     origin: Sequence[float] = (0.0, 0.0, 0.0),
     ends_at_rest: bool = True,
+    evaluator: Evaluator = ONE_BY_ONE,
 ) -> ReferenceVerdict:
     """Return the verdict on a reference through `nodes` (NED, relative to `origin`) and `yaw_nodes`.
 
@@ -49,10 +63,11 @@ def check_reference(
     if refusal is None and ends_at_rest:
         refusal = check_ends(nodes, limits, origin, ends=(0, len(nodes) - 1))
     if refusal is None:
-        refusal = _smooth(nodes)
+        refusal = _smooth(nodes, evaluator.deviations)
     if refusal is not None:
         return refusal
-    return scan(nodes, yaw_nodes, model, limits, samples_per_piece, origin)
+    bounds = Bounds(model, limits, origin)
+    return scan(nodes, yaw_nodes, bounds, samples_per_piece, evaluator.least_margins)
 
 
 def _structure(
@@ -119,11 +134,12 @@ def _yaw_rate_at_holds(
     if first_us >= last_us:
         return None
     start, stop = yaw_piece(yaw_nodes, first_us), yaw_piece(yaw_nodes, last_us - 1)
-    for (t0, coefficients), t_us, free in (
+    for piece, t_us, free in (
         (start, first_us, first_us == 0),
         (stop, last_us, last_us == end_us),
     ):
-        rate = abs(cubic_at(coefficients, (t_us - t0) * 1e-6)[1])
+        t0, *ends = piece
+        rate = abs(cubic_at(cubic_coefficients(*ends), (t_us - t0) * 1e-6)[1])
         if not rate <= REST_YAW_RATE and (ends_at_rest or not free):
             node = max(0, bisect_left([t for t, _ in nodes], t_us) - 1)
             text = f"yaw rate {rate:.4g} rad/s where yaw is held"
@@ -133,9 +149,9 @@ def _yaw_rate_at_holds(
     return None
 
 
-def _smooth(nodes: Sequence[Node]) -> ReferenceVerdict | None:
+def _smooth(nodes: Sequence[Node], deviations: Deviations) -> ReferenceVerdict | None:
     """Return the refusal of the node with the greatest misfit, or None if all nodes are consistent."""
-    worst = worst_misfit(nodes)
+    worst = worst_misfit(nodes, deviations)
     if worst is None or worst.value <= worst.bound:
         return None
     quantity, unit = QUANTITIES[worst.quantity]

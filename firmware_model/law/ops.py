@@ -58,6 +58,17 @@ class Ops(Protocol):
     def floor(self) -> Callable[[Any], Any]: ...
 
 
+class CheckOps(Ops, Protocol):
+    """Operations that the check of a reference needs beyond those of the law."""
+
+    @property
+    def acos(self) -> Callable[[Any], Any]: ...
+    @property
+    def hypot(self) -> Callable[[Any, Any, Any], Any]:
+        """(x, y, z) -> length of the vector."""
+        ...
+
+
 class FloatOps:
     """Operations on Python floats."""
 
@@ -66,6 +77,8 @@ class FloatOps:
     cos = staticmethod(math.cos)
     tan = staticmethod(math.tan)
     asin = staticmethod(math.asin)
+    acos = staticmethod(math.acos)
+    hypot = staticmethod(math.hypot)
     atan2 = staticmethod(math.atan2)
     exp = staticmethod(math.exp)
     log = staticmethod(math.log)
@@ -98,4 +111,4 @@ class FloatOps:
         return float(math.floor(x))
 
 
-FLOAT: Ops = FloatOps()
+FLOAT: CheckOps = FloatOps()

@@ -8,9 +8,10 @@ and jerk, but it deviates from that polynomial.
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Sequence
+from typing import NamedTuple, TypeAlias
 
+from trimtab.firmware_model.law.ops import FLOAT, Ops, Scalar, Vector
 from trimtab.firmware_model.law.reference import septic
 
 SMOOTH_M_S2 = 0.25
@@ -49,6 +50,20 @@ class Misfit(NamedTuple):
     bound: float
 
 
+class Neighbours(NamedTuple):
+    """A node between its neighbours: their distance in time, the node's time after the first, the states."""
+
+    dt_s: Scalar
+    s_s: Scalar
+    state0: Vector
+    state: Vector
+    state1: Vector
+
+
+Deviations: TypeAlias = Callable[[Sequence[Neighbours]], Iterable[Sequence[float]]]
+"""Returns the deviations of many nodes, as of `deviations`."""
+
+
 def jumps(before: Sequence[float], after: Sequence[float]) -> tuple[float, ...]:
     """Return the differences of two states (p, v, a, j, yaw, yaw rate) in the order of JUMPS.
 
@@ -67,21 +82,45 @@ def jump_text(values: Sequence[float]) -> tuple[str, float, float] | None:
     return None
 
 
-def worst_misfit(nodes: Sequence[tuple[int, Sequence[float]]]) -> Misfit | None:
+def deviations(ops: Ops, neighbours: Neighbours) -> tuple[Scalar, Scalar, Scalar, Scalar]:
+    """Return a node's greatest deviations over the axes, in the order of QUANTITIES.
+
+    They are those from the polynomial through its neighbours.
+    """
+    dt_s, s_s, state0, state, state1 = neighbours
+    position, velocity, acceleration, jerk, _ = septic(dt_s, s_s, state0, state1)
+
+    def greatest(first: int, expected: Vector) -> Scalar:
+        x, y, z = (abs(state[first + axis] - expected[axis]) for axis in range(3))
+        return ops.maximum(ops.maximum(x, y), z)
+
+    return greatest(0, position), greatest(3, velocity), greatest(6, acceleration), greatest(9, jerk)
+
+
+def deviations_one_by_one(nodes: Sequence[Neighbours]) -> Iterable[Sequence[float]]:
+    """Return the `deviations` of each node, in floats."""
+    return (deviations(FLOAT, neighbours) for neighbours in nodes)
+
+
+def worst_misfit(
+    nodes: Sequence[tuple[int, Sequence[float]]], evaluate: Deviations = deviations_one_by_one
+) -> Misfit | None:
     """Return the misfit that is greatest relative to its bound, or None if there are only two nodes.
 
     nodes: (t_us, p, v, a, j). The first and the last node have only one neighbour and are not compared; an
     error there shows at the adjacent node.
     """
     worst: Misfit | None = None
-    for k in range(1, len(nodes) - 1):
-        (t0_us, state0), (t_us, state), (t1_us, state1) = nodes[k - 1 : k + 2]
-        spacing_s = 0.5e-6 * (t1_us - t0_us)
-        expected = septic(2.0 * spacing_s, (t_us - t0_us) * 1e-6, state0, state1)
+    spacings_s = [0.5e-6 * (after[0] - before[0]) for before, after in zip(nodes, nodes[2:], strict=False)]
+    inner = [
+        Neighbours(2.0 * spacing_s, (t_us - t0_us) * 1e-6, state0, state, state1)
+        for spacing_s, (t0_us, state0), (t_us, state), (_, state1) in zip(
+            spacings_s, nodes, nodes[1:], nodes[2:], strict=False
+        )
+    ]
+    for k, (spacing_s, values) in enumerate(zip(spacings_s, evaluate(inner), strict=True), start=1):
         bound = SMOOTH_M_S2 * max(1.0, spacing_s / SMOOTH_S) ** 2 * spacing_s * spacing_s
-        for quantity, share in enumerate(SHARES):
-            vector = expected[quantity]
-            deviation = max(abs(state[3 * quantity + axis] - vector[axis]) for axis in range(3))
+        for quantity, (deviation, share) in enumerate(zip(values, SHARES, strict=True)):
             if worst is None or deviation * worst.bound > worst.value * share * bound:
                 worst = Misfit(k, quantity, deviation, share * bound)
             bound /= spacing_s

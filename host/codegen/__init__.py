@@ -10,10 +10,11 @@ from trimtab.host.codegen.engine import (
     sx_function,
 )
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.ops import CASADI, NUMPY
+from trimtab.host.codegen.ops import CASADI, LIBM, NUMPY
 
 __all__ = [
     "CASADI",
+    "LIBM",
     "NUMPY",
     "Block",
     "CodegenError",

@@ -1,7 +1,13 @@
-"""The law's operations (`firmware_model.law.ops`) on CasADi symbols, `CASADI`, and numpy lanes, `NUMPY`."""
+"""The law's operations (`firmware_model.law.ops`) on CasADi symbols, `CASADI`, and numpy lanes, `NUMPY`.
+
+`LIBM` has numpy lanes too, with the bits of the law's floats: numpy's own elementary functions differ from
+those of the C library in the last bit, on some CPUs only.
+"""
 
 from __future__ import annotations
 
+import math
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -62,5 +68,31 @@ class NumpyOps:
         return np.minimum(np.maximum(x, low), high)
 
 
+def _each(function: Callable[..., float]) -> Any:
+    """Return the function of floats as a function of arrays of shape (lanes,)."""
+
+    def over(*columns: Any) -> Any:
+        values = map(function, *(column.tolist() for column in columns))
+        return np.fromiter(values, dtype=float, count=len(columns[0]))
+
+    return staticmethod(over)
+
+
+class LibmOps(NumpyOps):
+    """Operations on arrays of shape (lanes,), each lane with the bits of `FLOAT` for finite values."""
+
+    sin = _each(math.sin)
+    cos = _each(math.cos)
+    tan = _each(math.tan)
+    asin = _each(math.asin)
+    acos = _each(math.acos)
+    hypot = _each(math.hypot)
+    atan2 = _each(math.atan2)
+    exp = _each(math.exp)
+    log = _each(math.log)
+    tanh = _each(math.tanh)
+
+
 CASADI = CasadiOps()
 NUMPY = NumpyOps()
+LIBM = LibmOps()

@@ -4,15 +4,18 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from trimtab.firmware_model.law.checks import check_reference
-from trimtab.firmware_model.law.limits import from_parameters
+from trimtab.firmware_model.law.limits import Airframe, from_parameters
+from trimtab.firmware_model.law.limits import Limits as CheckedLimits
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.codegen import NUMPY
+from trimtab.host.plan.all_at_once import ALL_AT_ONCE
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
 from trimtab.host.plan.heading import fastest_turn
 from trimtab.host.plan.profile import profile, sample_times
@@ -82,7 +85,7 @@ def judge(
     yaw_rate_max_rad_s: greatest rate of a free heading.
     """
     reference = to_reference(table, yaws, vehicle.id)
-    airframe, on_board = from_parameters(to_parameters(vehicle))
+    airframe, on_board = _on_board(vehicle)
     verdict = check_reference(
         reference.nodes,
         reference.yaw_nodes(),
@@ -90,6 +93,7 @@ def judge(
         checked(limits, on_board),
         origin=reference.origin_ned,
         ends_at_rest=not reference.free_ends,
+        evaluator=ALL_AT_ONCE,
     )
     flown = from_reference(reference)
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message
@@ -105,6 +109,12 @@ def judge(
         if ok and margin < 0.0:
             ok, message = False, where
     return Judged(reference=reference, table=flown, ok=ok, message=message, verdict=verdict, margins=margins)
+
+
+@lru_cache(maxsize=8)
+def _on_board(vehicle: Vehicle) -> tuple[Airframe, CheckedLimits]:
+    """Return airframe and limits as the vehicle's firmware has them."""
+    return from_parameters(to_parameters(vehicle))
 
 
 def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence[YawNode]) -> Figures:

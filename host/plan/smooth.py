@@ -9,13 +9,13 @@ are the spline itself.
 
 from __future__ import annotations
 
-from typing import Annotated, Any
+from dataclasses import dataclass
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import BSpline
-from scipy.sparse import bmat, csr_matrix, identity, vstack
-from scipy.sparse.linalg import splu
+from scipy.linalg import cho_solve_banded, cholesky_banded
 
 from trimtab.host.plan.table import SPACING_S, Table, knot_times, round_times
 
@@ -41,27 +41,47 @@ def fit(
     """
     waypoint_times = round_times(times_s[waypoints])
     step_s = float(times_s[-1]) / (len(times_s) - 1)
-    knots_us = knot_times(waypoint_times, max(SPACING_S, step_s), np.diff(waypoints))
+    spacing_s = max(SPACING_S, step_s)
+    knots_us = knot_times(waypoint_times, spacing_s, np.diff(waypoints))
     knots = knots_us * 1e-6
     padded = np.concatenate([[knots[0]] * _DEGREE, knots, [knots[-1]] * _DEGREE])
-    inside = np.clip(times_s, knots[0], knots[-1])
-    rows = vstack([_basis(padded, inside), _VELOCITY_S * _basis(padded, inside, 1)])
-    wanted = np.concatenate([p_ned.T, _VELOCITY_S * v_ned.T])
-    ends = np.array([knots[0], knots[-1]])
-    equal = vstack(
-        [_basis(padded, waypoint_times * 1e-6), *[_basis(padded, ends, order) for order in (1, 2, 3)]]
+    inside, ends = np.clip(times_s, knots[0], knots[-1]), knots[[0, -1]]
+    rows = _stacked(
+        _basis(padded, inside, p_ned.T),
+        _basis(padded, inside, v_ned.T, order=1, scale=_VELOCITY_S),
     )
-    exact = np.concatenate([waypoints_ned, end_velocities_ned, np.zeros((4, 3))])
-
-    coefficients = _constrained_lstsq(rows, wanted, equal, exact)
+    equal = _stacked(
+        _basis(padded, waypoint_times * 1e-6, waypoints_ned),
+        _basis(padded, ends, end_velocities_ned, order=1, scale=spacing_s),
+        _basis(padded, ends, np.zeros((2, 3)), order=2, scale=spacing_s**2),
+        _basis(padded, ends, np.zeros((2, 3)), order=3, scale=spacing_s**3),
+    )
+    coefficients = _constrained_lstsq(rows, equal, len(padded) - _DEGREE - 1)
     spline = BSpline(padded, coefficients, _DEGREE)
     states = np.concatenate([spline(knots, nu=order) for order in range(4)], axis=1)
     states[[0, -1], 3:6], states[[0, -1], 6:] = end_velocities_ned, 0.0
     return Table(times_us=knots_us, states_ned=states)
 
 
-def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
-    """Return the values (n, size) of every B-spline at n places, or of its derivative of this order."""
+@dataclass(frozen=True, kw_only=True)
+class _Rows:
+    """Linear equations for the coefficients, with _DEGREE + 1 adjacent coefficients in each.
+
+    first: column of the first of them. values: their factors. wanted: right-hand sides.
+    """
+
+    first: Annotated[NDArray[np.int64], "rows"]
+    values: Annotated[np.ndarray, "rows 8"]
+    wanted: Annotated[np.ndarray, "rows 3"]
+
+
+def _basis(
+    padded: np.ndarray, at: np.ndarray, wanted: np.ndarray, order: int = 0, scale: float = 1.0
+) -> _Rows:
+    """Return the equations that the spline's derivative of this order has the wanted values, times `scale`.
+
+    padded: knots. at: (rows,). wanted: (rows, 3).
+    """
     size = len(padded) - _DEGREE - 1
     interval = np.clip(np.searchsorted(padded, at, side="right") - 1, _DEGREE, size - 1)
     columns = interval[:, None] + np.arange(-_DEGREE, 1)
@@ -70,21 +90,35 @@ def _basis(padded: np.ndarray, at: np.ndarray, order: int = 0) -> csr_matrix:
     classes[np.arange(size), np.arange(size) % (_DEGREE + 1)] = 1.0
     values = BSpline(padded, classes, _DEGREE)(at, nu=order)
     values = np.take_along_axis(values, columns % (_DEGREE + 1), axis=1)
-    starts = (_DEGREE + 1) * np.arange(len(at) + 1)
-    return csr_matrix((values.ravel(), columns.ravel(), starts), shape=(len(at), size))
+    return _Rows(first=columns[:, 0], values=scale * values, wanted=scale * wanted)
 
 
-def _constrained_lstsq(rows: Any, wanted: Array, equal: Any, exact: Array) -> Array:
-    """Return the x that minimises |rows x - wanted| with equal x = exact, by the optimality conditions."""
-    residuals, size = rows.shape
-    # The residual r is an unknown, so nothing is squared: r + rows x = wanted, rows' r + equal' m = 0.
-    system = bmat(
-        [
-            [identity(residuals), rows, None],
-            [rows.T, None, equal.T],
-            [None, equal, None],
-        ],
-        format="csc",
+def _stacked(*parts: _Rows) -> _Rows:
+    """Return all equations in one."""
+    return _Rows(
+        first=np.concatenate([part.first for part in parts]),
+        values=np.concatenate([part.values for part in parts]),
+        wanted=np.concatenate([part.wanted for part in parts]),
     )
-    given = np.concatenate([wanted, np.zeros((size, wanted.shape[1])), exact])
-    return splu(system).solve(given)[residuals : residuals + size]
+
+
+def _constrained_lstsq(rows: _Rows, equal: _Rows, size: int) -> Array:
+    """Return the coefficients (size, 3) that solve `rows` in least squares and `equal` exactly.
+
+    The equalities also count as rows. This does not change the solution, and the normal equations are
+    positive definite even where the rows alone do not determine it.
+    """
+    both = _stacked(rows, equal)
+    row, column = np.tril_indices(_DEGREE + 1)
+    products = both.values[:, row] * both.values[:, column]
+    places = (row - column) * size + column + both.first[:, None]
+    band = np.bincount(places.ravel(), products.ravel(), (_DEGREE + 1) * size).reshape(-1, size)
+    factor = cholesky_banded(band, lower=True), True
+
+    columns = (both.first[:, None] + np.arange(_DEGREE + 1)).ravel()
+    moments = [np.bincount(columns, (both.values * each[:, None]).ravel(), size) for each in both.wanted.T]
+    constraints = np.zeros((len(equal.first), size))
+    np.put_along_axis(constraints, equal.first[:, None] + np.arange(_DEGREE + 1), equal.values, axis=1)
+    solved = cho_solve_banded(factor, np.concatenate([moments, constraints]).T)
+    free, shifts = solved[:, :3], solved[:, 3:]
+    return free + shifts @ np.linalg.solve(constraints @ shifts, equal.wanted - constraints @ free)

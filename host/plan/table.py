@@ -172,8 +172,8 @@ def to_reference(table: Table, yaws: Sequence[YawNode], vehicle_id: str) -> Refe
         vehicle_id=vehicle_id,
         origin_ned=(origin[0], origin[1], origin[2]),
         nodes=tuple(
-            Node(int(t_us), tuple(map(float, state)))
-            for t_us, state in zip(table.times_us, states, strict=True)
+            Node(t_us, tuple(state))
+            for t_us, state in zip(table.times_us.tolist(), states.tolist(), strict=True)
         ),
         yaws=tuple(yaws),
         free_ends=bool(table.states_ned[[0, -1], 3:].any()),

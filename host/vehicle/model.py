@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import hashlib
 from collections.abc import Mapping
+from functools import cached_property
 from types import MappingProxyType
 from typing import Annotated, Any, Literal, Self
 
@@ -174,7 +175,7 @@ class Vehicle(Strict):
             raise ValueError(problem)
         return self
 
-    @property
+    @cached_property
     def id(self) -> str:
         """First 12 hex digits of the SHA-256 of the canonical text."""
         return hashlib.sha256(self.to_toml().encode()).hexdigest()[:12]

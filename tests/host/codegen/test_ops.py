@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from trimtab.firmware_model.law.ops import FLOAT
-from trimtab.host.codegen.ops import CASADI, NUMPY
+from trimtab.host.codegen.ops import CASADI, LIBM, NUMPY
 
 UNARY = ("sqrt", "sin", "cos", "tan", "asin", "exp", "log", "tanh", "fabs", "floor")
 BINARY = ("minimum", "maximum", "atan2")
@@ -57,3 +57,23 @@ def test_where_of_casadi_keeps_the_other_branch_out_of_the_result():
     x = ca.SX.sym("x")
     f = ca.Function("f", [x], [CASADI.where(x > 0.0, 1.0 / x, 0.0)])
     assert float(f(0.0)) == 0.0
+
+
+LANES = np.random.default_rng(0).uniform(-1.0, 1.0, (3, 4000))
+
+
+@pytest.mark.parametrize("name", ["sin", "cos", "tan", "asin", "acos", "exp", "tanh", "fabs", "floor"])
+def test_unary_operation_of_libm_has_the_bits_of_floats(name):
+    assert getattr(LIBM, name)(LANES[0]).tolist() == [getattr(FLOAT, name)(x) for x in LANES[0].tolist()]
+
+
+@pytest.mark.parametrize(("name", "count"), [("atan2", 2), ("minimum", 2), ("maximum", 2), ("hypot", 3)])
+def test_operation_of_libm_on_several_numbers_has_the_bits_of_floats(name, count):
+    expected = [getattr(FLOAT, name)(*lane) for lane in LANES[:count].T.tolist()]
+    assert getattr(LIBM, name)(*LANES[:count]).tolist() == expected
+
+
+@pytest.mark.parametrize("name", ["log", "sqrt"])
+def test_operation_of_libm_on_positive_numbers_has_the_bits_of_floats(name):
+    lane = np.abs(LANES[0])
+    assert getattr(LIBM, name)(lane).tolist() == [getattr(FLOAT, name)(x) for x in lane.tolist()]

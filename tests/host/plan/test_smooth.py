@@ -65,3 +65,12 @@ def test_fit_passes_waypoints_and_ends_at_the_velocities_given() -> None:
     np.testing.assert_allclose(v_at[:, [0, 2]].T, ENDS, atol=1e-9)
     for rest in (a_at, j_at):
         assert np.abs(rest[:, [0, 2]]).max() < 1e-9
+
+
+def test_fit_to_too_few_nodes_is_determined_by_waypoints_and_ends() -> None:
+    times, waypoints = np.array([0.0, 0.1, 0.2]), np.array([[0.0, 0.0, -1.0], [0.1, 0.0, -1.0]])
+    p = np.stack([0.5 * times, 0.0 * times, 0.0 * times - 1.0])
+    table = fit(times, p, np.zeros((3, 3)), np.array([0, 2]), waypoints, ENDS)
+    assert np.isfinite(table.states_ned).all()
+    np.testing.assert_allclose(table.states_ned[[0, -1], :3], waypoints, atol=1e-9)
+    np.testing.assert_array_equal(table.states_ned[[0, -1], 3:6], ENDS)
