@@ -7,7 +7,6 @@ arithmetic has the order of `trimtab.host.models.rollout`, so the results have t
 from __future__ import annotations
 
 import ctypes
-import logging
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
@@ -15,16 +14,9 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 
-from trimtab.host.codegen.compiler import (
-    CodegenError,
-    engine_choice,
-    find_compiler,
-    library_path,
-    shared_library,
-)
-from trimtab.host.codegen.engine import c_source, compile_function
-
-_log = logging.getLogger(__name__)
+from trimtab.host.codegen.compiler import Compiler, compiled
+from trimtab.host.codegen.engine import c_source
+from trimtab.host.codegen.libraries import load_library
 
 _SOURCE = """
 typedef int (*slopes)(const double **, double **, long long *, double *, int);
@@ -102,17 +94,11 @@ def runge_kutta(function: ca.Function) -> RungeKutta | None:
 
     Raises CodegenError as `compile_function` does.
     """
-    _, kind = compile_function(function)
-    compiler = find_compiler()
-    if kind != "c" or compiler is None:
-        return None
-    try:
-        slopes = ctypes.CDLL(str(library_path(c_source(function), compiler)))
-        loop = ctypes.CDLL(str(shared_library(_SOURCE, compiler))).rk4
-    except (CodegenError, OSError) as error:
-        if engine_choice() == "c":
-            raise
-        _log.warning("%s; going on without it, slower", error)
-        return None
-    loop.restype = None
-    return RungeKutta(function=function, slopes=slopes[function.name()], loop=loop)
+
+    def make(compiler: Compiler) -> RungeKutta:
+        slopes = load_library(ctypes.CDLL, c_source(function), compiler)
+        loop = load_library(ctypes.CDLL, _SOURCE, compiler).rk4
+        loop.restype = None
+        return RungeKutta(function=function, slopes=slopes[function.name()], loop=loop)
+
+    return compiled(make)

@@ -7,13 +7,15 @@ often, are vector code with an error of about 1e-16.
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
-from trimtab.host.codegen.compiler import Compiler, shared_library
+from trimtab.host.codegen.compiler import Compiler
+from trimtab.host.codegen.libraries import load_library
 
 LANES = 8
 """Doubles in a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""
@@ -110,12 +112,12 @@ def _number(value: float) -> str:
     )
 
 
-def simd_library(source: str, compiler: Compiler) -> str:
-    """Return the path of the library for PRELUDE and `source`, for the instructions of this machine.
+def simd_library(source: str, compiler: Compiler) -> ctypes.CDLL:
+    """Return the library for PRELUDE and `source`, for the instructions of this machine.
 
     Raises CodegenError where the compiler fails.
     """
-    return str(shared_library(PRELUDE + source, compiler, native=True))
+    return load_library(ctypes.CDLL, PRELUDE + source, compiler, native=True)
 
 
 def lanes_of(rows: np.ndarray) -> Annotated[np.ndarray, "... lanes"]:

@@ -44,7 +44,7 @@ def kernel(phi: Phi, layout: Layout, compiler: Compiler) -> Kernel:
 
     Raises CodegenError where the compiler fails.
     """
-    library = ctypes.CDLL(simd_library(source(phi, layout), compiler))
+    library = simd_library(source(phi, layout), compiler)
     library.roll_out.restype = library.adjoint.restype = None
     library.stage_bytes.restype = ctypes.c_long
     return Kernel(roll_out=library.roll_out, adjoint=library.adjoint, stage_bytes=int(library.stage_bytes()))

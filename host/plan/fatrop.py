@@ -21,8 +21,9 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.codegen.compiler import Compiler, shared_library
+from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.libraries import load_library
 from trimtab.host.plan.fatrop_chain import Chain, Values
 from trimtab.host.plan.problem import Enough, SolveStatus
 from trimtab.host.plan.transcription import Assembly
@@ -102,7 +103,7 @@ def _fatrop() -> ctypes.CDLL:
 @cache
 def _glue(compiler: Compiler) -> ctypes.CDLL:
     source = f"/* CasADi {ca.CasadiMeta.version()} */\n" + _SOURCE.read_text(encoding="utf-8")
-    library = ctypes.CDLL(str(shared_library(source, compiler, include=_WHEEL / "include")))
+    library = load_library(ctypes.CDLL, source, compiler, include=_WHEEL / "include")
     library.interface_bytes.restype = ctypes.c_long
     return library
 

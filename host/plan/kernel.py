@@ -8,7 +8,6 @@ compiler.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -60,7 +59,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
     Raises CodegenError where the compiler fails.
     """
     parts = _Parts(model)
-    library = ctypes.CDLL(simd_library(parts.source(), compiler))
+    library = simd_library(parts.source(), compiler)
     for name in ("values", "slopes", "hessians"):
         getattr(library, name).restype = None
     return Kernel(

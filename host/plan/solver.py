@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.codegen.compiler import compiled
 from trimtab.host.plan import fatrop
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.problem import Enough, Multipliers, Problem, Solution, SolveStatus
@@ -135,13 +135,15 @@ def solve(
     """
     started = time.process_time()
     assembly = Assembly(engine, problem, keep_out)
-    compiler = wanted_compiler()
     solution: Solution | None = None
-    if solver != "ipopt" and compiler is not None and fatrop.usable():
-        end = fatrop.solve_chain(
-            assembly, compiler, tolerance=tolerance, max_iterations=max_iterations, enough=enough
+    if solver != "ipopt" and fatrop.usable():
+        end = compiled(
+            lambda compiler: fatrop.solve_chain(
+                assembly, compiler, tolerance=tolerance, max_iterations=max_iterations, enough=enough
+            )
         )
-        solution = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
+        if end is not None:
+            solution = _solution(assembly, end.w, end.status, end.iterations, "fatrop")
     if solution is None or (solver is None and not solution.status.usable):
         solution = _ipopt(assembly, tolerance, max_iterations)
     return replace(solution, solve_s=time.process_time() - started)
