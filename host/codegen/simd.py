@@ -8,6 +8,7 @@ often, are vector code with an error of about 1e-16.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
@@ -112,12 +113,13 @@ def _number(value: float) -> str:
     )
 
 
-def simd_library(source: str, compiler: Compiler) -> ctypes.CDLL:
-    """Return the library for PRELUDE and `source`, for the instructions of this machine.
+def simd_library(key: str, compiler: Compiler, source: Callable[[], str] | None = None) -> ctypes.CDLL:
+    """Return the library for PRELUDE and a source, for the instructions of this machine.
 
-    Raises CodegenError where the compiler fails.
+    `key` and `source` as of `load_library`. Raises CodegenError where the compiler fails.
     """
-    return load_library(ctypes.CDLL, PRELUDE + source, compiler, native=True)
+    text = None if source is None else lambda: PRELUDE + source()
+    return load_library(ctypes.CDLL, PRELUDE + key, compiler, source=text, native=True)
 
 
 def lanes_of(rows: np.ndarray) -> Annotated[np.ndarray, "... lanes"]:
