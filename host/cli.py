@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import contextlib
 import os
+import shutil
 import signal
 import sys
+import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
@@ -18,6 +20,10 @@ from trimtab.host.base.text import ESCAPE
 
 if TYPE_CHECKING:
     from cyclopts import App
+
+
+_HELP_WIDTH_MIN = 20
+"""Columns of a verb's line of help, at least."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,6 +66,9 @@ VERBS = (
 )
 
 
+_SUMMARY = "Close the gap between a quadrotor's model and its flights."
+
+
 def _version() -> str:
     """Return the installed version of Trimtab."""
     from trimtab.host.base.artefacts import version
@@ -73,7 +82,7 @@ def build_app() -> App:
 
     app = App(
         name="trimtab",
-        help="Close the gap between a quadrotor's model and its flights.",
+        help=_SUMMARY,
         version=_version,
         help_format="markdown",
         result_action="return_value",
@@ -128,6 +137,9 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     """Run the verb that `words` name and return its exit code."""
+    if words in ([], ["--help"], ["-h"]):
+        output.say(*_overview())
+        return 0
     from cyclopts import CycloptsError
 
     try:
@@ -140,6 +152,19 @@ def _run(words: list[str]) -> int:
         text = " ".join(str(error).split())
         return _fail(words, f"{text} Try: trimtab {_verb_of(words)}--help", 2)
     return result if isinstance(result, int) and not isinstance(result, bool) else 0
+
+
+def _overview() -> list[str]:
+    """Return the list of verbs, as lines. The importing of cyclopts would take most of the time."""
+    rows = [(verb.name, verb.help) for verb in VERBS]
+    rows += [("--help (-h)", "Display this message and exit."), ("--version", "Display the version.")]
+    indent = 2 + max(len(name) for name, _ in rows) + 2
+    width = max(shutil.get_terminal_size().columns, indent + _HELP_WIDTH_MIN)
+    lines = ["Usage: trimtab COMMAND", "", _SUMMARY, "", "Commands:"]
+    for name, text in rows:
+        first, *rest = textwrap.wrap(text, width - indent)
+        lines += [f"  {name}".ljust(indent) + first, *(" " * indent + line for line in rest)]
+    return [*lines, "", "`trimtab COMMAND --help` describes a command."]
 
 
 def _verb_of(words: Sequence[str]) -> str:

@@ -20,7 +20,7 @@ from trimtab.host.codegen.simd import aligned, lane_count, lane_source, pointer,
 _log = logging.getLogger(__name__)
 
 _FEW = 8
-"""Lanes below which CasADi is faster one by one: an operation on a vector takes about 25 ns and 0.5 ns a lane."""
+"""Lanes below which CasADi is faster one by one: an operation on a vector takes 25 ns and 0.5 ns a lane."""
 
 
 @held_interrupts()

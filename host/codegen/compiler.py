@@ -1,31 +1,39 @@
-"""C source to a shared library: the compiler, its flags, and the cache of the results.
+"""The C compiler: which one, its flags, one run of it, and what happens where it fails.
 
 The flags keep IEEE arithmetic as written (no contraction, never -ffast-math), so that compiled code and
-CasADi's virtual machine agree bit for bit. Libraries are in the user's cache, named by the hash of everything
-that determines them, written under a temporary name and renamed. Everything also works without a compiler.
+CasADi's virtual machine agree bit for bit. Everything also works without a compiler: `compiled` is the one
+place that decides so. `trimtab.host.codegen.libraries` caches and loads the results.
 """
 
 from __future__ import annotations
 
-import atexit
-import hashlib
 import importlib.util
 import os
 import platform
 import shutil
 import subprocess
 import sys
-import tempfile
+from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
+from typing import TypeVar
 
+from trimtab.host.base import output
 from trimtab.host.base.errors import TrimtabError
+
+T = TypeVar("T")
 
 FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
 ENGINES = ("auto", "vm", "c")
 ENGINE_VARIABLE = "TRIMTAB_ENGINE"
 _SECONDS = 300
+_PROCESSOR_LINES = (
+    "vendor_id", "cpu family", "model", "stepping", "flags", "features",
+    "cpu implementer", "cpu architecture", "cpu variant", "cpu part",
+)  # fmt: skip
+"""Lines of /proc/cpuinfo from which a compiler knows the instructions of this machine."""
+_warned: set[str] = set()
 
 
 class CodegenError(TrimtabError):
@@ -84,66 +92,94 @@ def wanted_compiler(engine: str | None = None) -> Compiler | None:
     return compiler
 
 
-def shared_library(
-    source: str, compiler: Compiler, *, native: bool = False, include: Path | None = None
-) -> Path:
-    """Return the path of the shared library for this C source, compiled now unless the cache has it.
+def compiled(make: Callable[[Compiler], T], engine: str | None = None) -> T | None:
+    """Return `make(compiler)`, or None where the caller must use its portable path.
 
-    `native`: for the instructions of this machine. `include`: directory of its headers; the source must name
-    their version. Raises CodegenError where the compiler fails.
+    That is without a compiler, and where `make` raises CodegenError: then one line on stderr says so, once in
+    a process. Raises CodegenError where C is requested (`engine_choice`) and not possible.
     """
-    path = library_path(source, compiler, native=native)
-    if not path.exists():
-        headers = () if include is None else (f"-I{include}",)
-        _compile(source, compiler, path, (*flags(native=native), *headers))
-    return path
+    compiler = wanted_compiler(engine)
+    if compiler is None:
+        return None
+    try:
+        return make(compiler)
+    except CodegenError as error:
+        if engine_choice(engine) == "c":
+            raise
+        warn_once("compiler", f"{error}; continuing without compiled code, slower")
+        return None
+
+
+def warn_once(subject: str, line: str) -> None:
+    """Print a warning on stderr, unless this process has printed one about this subject."""
+    if subject not in _warned:
+        _warned.add(subject)
+        output.warn(line)
 
 
 def flags(*, native: bool) -> tuple[str, ...]:
-    """Return the compiler's flags; `native`: for all instructions of this machine."""
+    """Return the compiler's flags; `native`: for all instructions of this machine, where they are known.
+
+    Compiled code is cached. Without `processor` the cache could not tell this machine from another one.
+    """
     if not native:
         return FLAGS
+    if not processor():
+        return (*FLAGS, "-O3")
     x86 = platform.machine().lower() in ("x86_64", "amd64", "i686")
     return (*FLAGS, "-O3", "-march=native" if x86 else "-mcpu=native")
 
 
 @cache
-def _processor() -> str:
-    """Return a text that identifies this machine's instructions."""
+def processor() -> str:
+    """Return a text that identifies this machine's instructions, empty where the system does not say."""
     try:
         lines = Path("/proc/cpuinfo").read_text(encoding="utf-8", errors="replace").splitlines()
     except OSError:
-        return platform.processor()
-    features = [line for line in lines if line.lower().startswith(("flags", "features"))]
-    return features[0] if features else platform.processor()
+        return ""
+    known = {line for line in lines if line.split(":")[0].strip().lower() in _PROCESSOR_LINES}
+    return "\n".join(sorted(known))
 
 
-def library_path(source: str, compiler: Compiler, *, native: bool = False) -> Path:
-    """Return the path in the cache of the library for this source, compiler, flags and machine."""
-    parts = (source, compiler.identity, " ".join(flags(native=native)), sys.platform, platform.machine())
-    parts += (_processor(),) if native else ()
-    digest = hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
-    return cache_directory() / f"{digest}.so"
+def run_compiler(
+    source: str, compiler: Compiler, folder: Path, *, native: bool = False, include: Path | None = None
+) -> Path:
+    """Return the shared library that the compiler makes of the source in this folder.
+
+    `include`: directory of headers. The library is loaded once by another process, which an incomplete
+    one would end. Raises CodegenError where the compiler or that fails, OSError where the source cannot be
+    written.
+    """
+    text, library = folder / "function.c", folder / "function.so"
+    text.write_text(source, encoding="utf-8")
+    headers = () if include is None else (f"-I{include}",)
+    command = [*compiler.command, *flags(native=native), *headers, "-o", str(library), str(text), "-lm"]
+    failure = _failure(command)
+    if failure is not None:
+        raise CodegenError(f"the C compiler {compiler.name} failed: {failure}")
+    failure = _failure([sys.executable, "-I", "-S", "-c", _LOAD, str(library)])
+    if failure is not None:
+        raise CodegenError(f"the C compiler {compiler.name} made no usable library: {failure}")
+    return library
 
 
-@cache
-def _temporary() -> Path:
-    """Return a directory that is deleted when this process ends, for machines without a cache."""
-    path = Path(tempfile.mkdtemp(prefix="trimtab-"))
-    atexit.register(shutil.rmtree, path, ignore_errors=True)
-    return path
+_LOAD = "import ctypes, sys; ctypes.CDLL(sys.argv[1])"
 
 
-def cache_directory() -> Path:
-    """Return the directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen."""
-    base = os.environ.get("XDG_CACHE_HOME", "")
+def _failure(command: list[str]) -> str | None:
+    """Run a command and return why it failed in one line, None where it did not."""
     try:
-        root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
-        path = root / "trimtab" / "codegen"
-        path.mkdir(parents=True, exist_ok=True)
-    except (OSError, RuntimeError):
-        return _temporary()
-    return path if os.access(path, os.W_OK | os.X_OK) else _temporary()
+        done = subprocess.run(
+            command, capture_output=True, text=True, errors="replace", timeout=_SECONDS, check=False
+        )
+    except (OSError, subprocess.TimeoutExpired) as error:
+        return f"it does not run: {error}"
+    if done.returncode == 0:
+        return None
+    if done.returncode < 0:
+        return f"it was ended by signal {-done.returncode}"
+    lines = (done.stderr or done.stdout).strip().splitlines()
+    return lines[-1 if command[0] == sys.executable else 0] if lines else f"exit code {done.returncode}"
 
 
 def _stamp(path: Path) -> str:
@@ -151,22 +187,3 @@ def _stamp(path: Path) -> str:
     real = path.resolve()
     status = real.stat()
     return f"{real} {status.st_size} {status.st_mtime_ns}"
-
-
-def _compile(source: str, compiler: Compiler, path: Path, flags: tuple[str, ...]) -> None:
-    """Compile the source to a library at `path`, which appears whole or not at all. Raises CodegenError."""
-    with tempfile.TemporaryDirectory(prefix=".build-", dir=path.parent) as folder:
-        text, library = Path(folder) / "function.c", Path(folder) / "function.so"
-        text.write_text(source, encoding="utf-8")
-        command = [*compiler.command, *flags, "-o", str(library), str(text), "-lm"]
-        try:
-            done = subprocess.run(
-                command, capture_output=True, text=True, errors="replace", timeout=_SECONDS, check=False
-            )
-        except (OSError, subprocess.TimeoutExpired) as error:
-            raise CodegenError(f"the C compiler {compiler.name} does not run: {error}") from None
-        if done.returncode != 0 or not library.exists():
-            lines = (done.stderr or done.stdout).strip().splitlines()
-            detail = lines[0] if lines else f"exit code {done.returncode}"
-            raise CodegenError(f"the C compiler {compiler.name} failed: {detail}")
-        os.replace(library, path)

@@ -7,28 +7,19 @@ environment's TRIMTAB_ENGINE.
 
 from __future__ import annotations
 
-import logging
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 from types import MappingProxyType
 from typing import Any, Protocol
 
 import casadi as ca
 
 from trimtab.host.base.text import readable
-from trimtab.host.codegen.compiler import (
-    CodegenError,
-    engine_choice,
-    library_path,
-    shared_library,
-    wanted_compiler,
-)
+from trimtab.host.codegen.compiler import Compiler, compiled
 from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.libraries import load_library
 from trimtab.host.codegen.ops import CASADI
-
-_log = logging.getLogger(__name__)
 
 
 class BlockLike(Protocol):
@@ -123,31 +114,16 @@ def compile_function(
     native: compile for all instructions of this machine, which takes longer and changes no bit of the result.
     Raises CodegenError where "c" is requested and there is no compiler, or the compiler fails.
     """
-    compiler = wanted_compiler(engine)
-    if compiler is None:
-        return function, "vm"
-    name, source = function.name(), c_source(function)
-    try:
-        path = shared_library(source, compiler, native=native)
-        try:
-            return _external(name, path), "c"
-        except RuntimeError:  # for another machine, or damaged: compile it again, once
-            path.unlink(missing_ok=True)
-            path = shared_library(source, compiler, native=native)
-            return _external(name, path), "c"
-    except (CodegenError, RuntimeError, OSError) as error:
-        if engine_choice(engine) == "c":
-            if isinstance(error, CodegenError):
-                raise
-            place = library_path(source, compiler, native=native)
-            raise CodegenError(f"the compiled {name} in {place.parent} cannot be used: {error}") from None
-        _log.warning("%s; going on without it, slower", error)
-        return function, "vm"
 
+    def external(compiler: Compiler) -> ca.Function:
+        name = function.name()
+        # CasADi takes the path as UTF-8, whatever the locale.
+        return load_library(
+            lambda path: ca.external(name, readable(path)), c_source(function), compiler, native=native
+        )
 
-def _external(name: str, path: Path) -> ca.Function:
-    """Return the compiled function. CasADi takes the path as UTF-8, whatever the locale."""
-    return ca.external(name, readable(str(path)))
+    found = compiled(external, engine)
+    return (function, "vm") if found is None else (found, "c")
 
 
 def function_engine(

@@ -8,13 +8,15 @@ the last place. Other transcendental functions call libm lane by lane.
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 from typing import Annotated
 
 import casadi as ca
 import numpy as np
 
-from trimtab.host.codegen.compiler import Compiler, shared_library
+from trimtab.host.codegen.compiler import Compiler
+from trimtab.host.codegen.libraries import load_library
 
 _ALIGNED = 64
 
@@ -112,12 +114,13 @@ def _number(value: float) -> str:
     )
 
 
-def simd_library(source: str, compiler: Compiler) -> ctypes.CDLL:
-    """Return the library for PRELUDE and `source`, for the instructions of this machine.
+def simd_library(key: str, compiler: Compiler, source: Callable[[], str] | None = None) -> ctypes.CDLL:
+    """Return the library for PRELUDE and a source, for the instructions of this machine.
 
-    Raises CodegenError where the compiler fails.
+    `key` and `source` as of `load_library`. Raises CodegenError where the compiler fails.
     """
-    return ctypes.CDLL(str(shared_library(PRELUDE + source, compiler, native=True)))
+    text = None if source is None else lambda: PRELUDE + source()
+    return load_library(ctypes.CDLL, PRELUDE + key, compiler, source=text, native=True)
 
 
 def lane_count(library: ctypes.CDLL) -> int:

@@ -3,21 +3,18 @@
 from __future__ import annotations
 
 import ctypes
-import logging
 from functools import partial
 from typing import Annotated
 
 import numpy as np
 
-from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
+from trimtab.host.codegen.compiler import Compiler, compiled
 from trimtab.host.codegen.simd import aligned, lanes_of, pointer, rows_of
 from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
 from trimtab.host.learn.kernel import MEASURED, kernel, pointers
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
-
-_log = logging.getLogger(__name__)
 
 
 def rollouts(
@@ -33,14 +30,11 @@ def rollouts(
 
     Raises CodegenError where TRIMTAB_ENGINE requests C and that is not possible.
     """
-    compiler = wanted_compiler()
-    if compiler is not None:
-        try:
-            return LaneRollouts(phi, layout, theta, step_s=step_s, weight=weight, compiler=compiler)
-        except (CodegenError, OSError) as error:
-            if engine_choice() == "c":
-                raise
-            _log.warning("%s; going on without it, slower", error)
+    made = compiled(
+        lambda compiler: LaneRollouts(phi, layout, theta, step_s=step_s, weight=weight, compiler=compiler)
+    )
+    if made is not None:
+        return made
     return Rollouts(phi, layout, theta, batch=batch, step_s=step_s, weight=weight)
 
 

@@ -7,7 +7,6 @@ adds the adjoint to the same C.
 from __future__ import annotations
 
 import ctypes
-import logging
 from collections.abc import Callable
 from functools import lru_cache
 from itertools import pairwise
@@ -17,7 +16,7 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 
-from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
+from trimtab.host.codegen.compiler import Compiler, compiled
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.codegen.simd import (
     LAYERS,
@@ -31,8 +30,6 @@ from trimtab.host.codegen.simd import (
 from trimtab.host.models.drive import DRIVE_ROWS
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
-
-_log = logging.getLogger(__name__)
 
 _SOURCE = Path(__file__).parent / "rollout.c"
 
@@ -114,18 +111,9 @@ def rollout_kernel(phi: Phi, layout: Layout | None) -> RolloutKernel | None:
 
     Raises CodegenError where TRIMTAB_ENGINE requests C and that is not possible.
     """
-    compiler = wanted_compiler()
-    if compiler is None:
-        return None
-    try:
-        return _compiled(phi, layout, compiler)
-    except (CodegenError, OSError) as error:
-        if engine_choice() == "c":
-            raise
-        _log.warning("%s; going on without it, slower", error)
-        return None
+    return compiled(lambda compiler: _made(phi, layout, compiler))
 
 
 @lru_cache(maxsize=16)
-def _compiled(phi: Phi, layout: Layout | None, compiler: Compiler) -> RolloutKernel:
+def _made(phi: Phi, layout: Layout | None, compiler: Compiler) -> RolloutKernel:
     return RolloutKernel(simd_library(source(phi, layout), compiler))

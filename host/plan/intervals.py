@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.codegen.compiler import compiled
 from trimtab.host.codegen.simd import aligned
 from trimtab.host.plan.kernel import Kernel, kernel
 from trimtab.host.plan.stage import Stage, StageModel, build_stage
@@ -94,14 +94,13 @@ class Intervals(Protocol):
 class Engine:
     """A stage model ready to be evaluated over any number of intervals.
 
-    It runs in C where there is a compiler and neither `engine` nor TRIMTAB_ENGINE decides otherwise, else in
-    the virtual machine. Raises CodegenError where C is requested and not possible.
+    It runs in C where a compiler works and neither `engine` nor TRIMTAB_ENGINE decides otherwise, else in the
+    virtual machine. Raises CodegenError where C is requested and not possible.
     """
 
     def __init__(self, model: StageModel, engine: str | None = None) -> None:
         self.model = model
-        compiler = wanted_compiler(engine)
-        self._kernel = None if compiler is None else kernel(model, compiler)
+        self._kernel = compiled(lambda compiler: kernel(model, compiler), engine)
         self._stages: dict[int, Stage] = {}
 
     @property

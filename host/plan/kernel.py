@@ -8,8 +8,11 @@ compiler.
 
 from __future__ import annotations
 
+import ctypes
+import hashlib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Annotated
@@ -17,14 +20,25 @@ from typing import Annotated
 import casadi as ca
 import numpy as np
 
+from trimtab.host.codegen import simd
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.simd import LAYERS, RK4, lane_count, lane_source, simd_library
+from trimtab.host.models import kernel as models_kernel
 from trimtab.host.models.kernel import network_ends
 from trimtab.host.models.network import Layout
+from trimtab.host.plan import stage
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel
 
 _SOURCE = Path(__file__).parent / "kernel.c"
+_GENERATORS = (
+    Path(__file__),
+    _SOURCE,
+    Path(stage.__file__),
+    Path(models_kernel.__file__),
+    Path(simd.__file__),
+)
+"""Files that make the C source, besides the prelude that every kernel has."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -60,36 +74,79 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
 
     Raises CodegenError where the compiler fails.
     """
-    parts = _Parts(model)
-    library = simd_library(parts.source(), compiler)
+    expressions = _Expressions(model)
+    library = simd_library(expressions.key(), compiler, lambda: _Parts(expressions).source())
     for name in ("values", "slopes", "hessians"):
         getattr(library, name).restype = None
+    nx, nu, rows = model.nx, model.nu, expressions.path.shape[0]
+    nz = nx + nu + 1
+    pattern = Pattern(
+        x_slope=_exported(library, "X_SLOPE_MASK", (nx, nz)),
+        path_slope=_exported(library, "PATH_SLOPE_MASK", (rows, nx + nu)),
+        hessian=_exported(library, "Z_HESSIAN_MASK", (nz, nz)),
+    )
+    columns, entries = np.nonzero(pattern.path_slope.T)
     return Kernel(
         values=library.values,
         slopes=library.slopes,
         hessians=library.hessians,
-        pattern=parts.pattern(),
-        path_slope=_triplet(parts.path),
-        rows=parts.rows,
+        pattern=pattern,
+        path_slope=(entries, columns),
+        rows=rows,
         lanes=lane_count(library),
     )
 
 
-def kernel_source(model: StageModel) -> str:
-    """Return the kernel's C, which follows `trimtab.host.codegen.simd.PRELUDE`."""
-    return _Parts(model).source()
+def kernel_key(model: StageModel) -> str:
+    """Return a text that determines the kernel of a model, without deriving anything."""
+    return _Expressions(model).key()
+
+
+@cache
+def _generators() -> str:
+    """Return the hash of the program that makes the source."""
+    files = b"".join(path.read_bytes() for path in _GENERATORS)
+    return hashlib.sha256(files).hexdigest() + ca.CasadiMeta.version()
+
+
+class _Expressions:
+    """A model as SX expressions, from which everything in its kernel is derived."""
+
+    @held_interrupts()
+    def __init__(self, model: StageModel) -> None:
+        self.model = model
+        x, u, p = (
+            ca.SX.sym(name, size) for name, size in (("x", model.nx), ("u", model.nu), ("p", model.np))
+        )
+        self.x, self.u, self.p = x, u, p
+        self.f = ca.densify(model.derivative(x, u, p))
+        self.effort, self.path = model.effort(x, u, p), ca.densify(model.path(x, u, p))
+        self.residual = ca.SX(3, 1) if model.residual is None else model.residual(x, p)
+
+    def key(self) -> str:
+        """Return a text that determines the kernel's C."""
+        model, network = self.model, self.model.network
+        graphs = [
+            ca.Function("model", [self.x, self.u, self.p], [self.f, self.effort, self.path, self.residual])
+        ]
+        layout = None
+        if network is not None:
+            layout = network.layout.sizes
+            ends = network_ends(network.layout)
+            graphs += [ends["seen"], ends["given"]]
+        words = (model.network_rows, model.residual is not None, layout, _generators(), RK4, LAYERS)
+        return repr((words, *(graph.serialize() for graph in graphs)))
 
 
 class _Parts:
     """The SX functions that the kernel is made of, and the patterns of their derivatives."""
 
     @held_interrupts()
-    def __init__(self, model: StageModel) -> None:
-        self.model = model
+    def __init__(self, expressions: _Expressions) -> None:
+        self.model = model = expressions.model
         nx, nu = model.nx, model.nu
-        x, u, p = ca.SX.sym("x", nx), ca.SX.sym("u", nu), ca.SX.sym("p", model.np)
+        x, u, p, f = expressions.x, expressions.u, expressions.p, expressions.f
         xu = ca.vertcat(x, u)
-        f = ca.densify(model.derivative(x, u, p))
         by_x, by_u = ca.jacobian(f, x), ca.jacobian(f, u)
         kappa = ca.SX.sym("kappa", nx)
         hessian = ca.triu(ca.hessian(ca.dot(kappa, f), xu)[0])
@@ -104,9 +161,8 @@ class _Parts:
             )
             self.f_hessian = self.f_hessian + block
 
-        effort, path = model.effort(x, u, p), ca.densify(model.path(x, u, p))
+        effort, path, d = expressions.effort, expressions.path, expressions.residual
         self.rows = path.shape[0]
-        d = ca.SX(3, 1) if model.residual is None else model.residual(x, p)
         self.residual_rows = d.shape[0]
         sigma, mu = ca.SX.sym("sigma"), ca.SX.sym("mu", self.residual_rows)
         lam = ca.SX.sym("lam", self.rows)
@@ -200,6 +256,12 @@ class _Parts:
         first = NETWORK_INPUTS.start
         inside = (rows >= first) & (columns < NETWORK_INPUTS.stop)
         tables.append(_table("HESSIAN_BLOCK", np.where(inside, 6 * (rows - first) + columns - first, -1)))
+        masks = self.pattern()
+        tables += [
+            _table("X_SLOPE_MASK", masks.x_slope, exported=True),
+            _table("PATH_SLOPE_MASK", masks.path_slope, exported=True),
+            _table("Z_HESSIAN_MASK", masks.hessian, exported=True),
+        ]
         active = np.unique(np.concatenate([rows, columns]))
         sizes["ACTIVE"] = len(active)
         tables.append(_table("ACTIVE_ROW", active))
@@ -231,9 +293,15 @@ def _product(a: np.ndarray, b: np.ndarray) -> np.ndarray:
     return a.astype(np.int64) @ b.astype(np.int64) > 0
 
 
-def _table(name: str, numbers: np.ndarray) -> str:
-    values = ", ".join(map(str, numbers.tolist())) or "0"
-    return f"static const int {name}[] = {{{values}}};"
+def _table(name: str, numbers: np.ndarray, *, exported: bool = False) -> str:
+    values = ", ".join(map(str, numbers.astype(np.int64).ravel().tolist())) or "0"
+    return f"{'' if exported else 'static '}const int {name}[] = {{{values}}};"
+
+
+def _exported(library: ctypes.CDLL, name: str, shape: tuple[int, int]) -> np.ndarray:
+    """Return a mask that the library holds."""
+    numbers = (ctypes.c_int * (shape[0] * shape[1])).in_dll(library, name)
+    return np.array(numbers, dtype=bool).reshape(shape)
 
 
 def _network_ends(layout: Layout) -> dict[str, ca.Function]:

@@ -31,10 +31,9 @@ from trimtab.host.plan.box import within_region
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.heading import check_turnable
 from trimtab.host.plan.job import Job
+from trimtab.host.plan.problem import NODES_MAX
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import MINIMISED, Kind, Plan, Settings, label, parse_kind
-from trimtab.host.plan.rounds import plan_shooting
-from trimtab.host.plan.shooting import NODES_MAX
 from trimtab.host.plan.stretch import plan_snap
 from trimtab.host.route import TIME_MAX_S, LimitsOverride, Route, check_route
 from trimtab.host.vehicle import Limits, Vehicle
@@ -85,7 +84,11 @@ def plan(
     if stretch and name != "min-snap":
         raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
     job = make_job(route, vehicle, kind=kind, model=model, **options)
-    return plan_snap(job, stretch=stretch) if name == "min-snap" else plan_shooting(job, nodes=nodes)
+    if name == "min-snap":
+        return plan_snap(job, stretch=stretch)
+    from trimtab.host.plan.rounds import plan_shooting  # with scipy, which min-snap does not need
+
+    return plan_shooting(job, nodes=nodes)
 
 
 def make_job(

@@ -9,6 +9,9 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
+NODES_MAX = 1600
+"""Greatest number of intervals of a problem."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:

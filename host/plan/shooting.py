@@ -25,7 +25,7 @@ from trimtab.host.plan.dynamics import (
 )
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import GATE_ROWS
-from trimtab.host.plan.problem import Multipliers, Problem, Solution
+from trimtab.host.plan.problem import NODES_MAX, Multipliers, Problem, Solution
 from trimtab.host.plan.smooth import fit
 from trimtab.host.plan.table import Table, evaluate, flat_states, yaw_at
 from trimtab.host.route import Gate
@@ -34,7 +34,6 @@ from trimtab.protocol.blobs import YawNode
 
 Array = NDArray[np.float64]
 
-NODES_MAX = 1600
 NODE_S = 0.07
 COARSE = 100
 """Intervals of the coarsest grid; a finer grid starts from the solution of the grid half as fine."""

@@ -1,9 +1,9 @@
 """Minimum-snap splines of degree 7 through any number of waypoints.
 
 Between two waypoints the path is the septic that meets position, velocity, acceleration and jerk at both
-ends. The derivatives at the inner waypoints are free and follow from one symmetric positive definite banded
-solve (Bry et al., IJRR 2015, "free end derivatives"). By the natural conditions of the problem the optimum is
-C6 at every inner waypoint.
+ends. The derivatives at the inner waypoints are free and follow from one symmetric positive definite solve of
+a chain of 3 x 3 blocks (Bry et al., IJRR 2015, "free end derivatives"). By the natural conditions of the
+problem the optimum is C6 at every inner waypoint.
 
 Time is in units of the mean leg, and every unknown is scaled to a unit diagonal. The solve therefore stays
 well conditioned for hundreds of legs whose durations differ by orders of magnitude. Cost and memory are
@@ -18,8 +18,8 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.linalg import solveh_banded
-from scipy.optimize import minimize
+
+from trimtab.host.plan.descent import minimise_in_box
 
 Array = NDArray[np.float64]
 
@@ -70,11 +70,12 @@ def _snap_gram() -> Array:
             falling *= (i - step) * (j - step)
         return Fraction(falling, i + j - 7)
 
+    weighted = [
+        [sum((moment(i, j) * basis[j][b] for j in range(4, 8)), Fraction(0)) for b in range(8)]
+        for i in range(8)
+    ]
     gram = [
-        [
-            sum((basis[i][a] * moment(i, j) * basis[j][b] for i in range(8) for j in range(8)), Fraction(0))
-            for b in range(8)
-        ]
+        [sum((basis[i][a] * weighted[i][b] for i in range(4, 8)), Fraction(0)) for b in range(8)]
         for a in range(8)
     ]
     return np.array([[float(value) for value in line] for line in gram])
@@ -133,7 +134,7 @@ def solve_snap(
     if len(waypoints) > 2:
         ends[1:-1, 1:] = _inner_derivatives(blocks, ends)
     values = np.concatenate([ends[:-1], ends[1:]], axis=1)
-    cost = float(np.einsum("mac,mab,mbc->", values, blocks, values)) / unit_s**7
+    cost = float((values * (blocks @ values)).sum()) / unit_s**7
     ends[:, 1:] /= unit_s ** np.arange(1, 4)[:, None]
     return SnapSpline(times_s=np.concatenate([[0.0], np.cumsum(durations)]), ends_ned=ends, cost=cost)
 
@@ -144,30 +145,45 @@ def _inner_derivatives(blocks: Array, ends: Array) -> Array:
     ends: (K, 4, 3) with the waypoints, and the derivatives at the first and the last waypoint.
     """
     waypoints = ends[:, 0]
-    inner = len(waypoints) - 2
-    size = 3 * inner
     diagonal = blocks[:-1, 5:8, 5:8] + blocks[1:, 1:4, 1:4]
     coupling = blocks[1:-1, 1:4, 5:8]  # rows: this inner waypoint, columns: the next
-    banded = np.zeros((min(6, size), size))  # lower form: banded[i - j, j]
-    for row in range(3):
-        for column in range(row + 1):
-            banded[row - column, column::3] = diagonal[:, row, column]
-    for later in range(3 if inner > 1 else 0):
-        for earlier in range(3):
-            banded[3 + later - earlier, earlier : size - 3 : 3] = coupling[:, earlier, later]
+    middle = blocks[:-1, 5:8, 4] + blocks[1:, 1:4, 0]
     right = -(
-        np.einsum("ma,mc->mac", blocks[:-1, 5:8, 0], waypoints[:-2])
-        + np.einsum("ma,mc->mac", blocks[:-1, 5:8, 4] + blocks[1:, 1:4, 0], waypoints[1:-1])
-        + np.einsum("ma,mc->mac", blocks[1:, 1:4, 4], waypoints[2:])
+        blocks[:-1, 5:8, 0, None] * waypoints[:-2, None]
+        + middle[:, :, None] * waypoints[1:-1, None]
+        + blocks[1:, 1:4, 4, None] * waypoints[2:, None]
     )
     right[0] -= blocks[0, 5:8, 1:4] @ ends[0, 1:]
     right[-1] -= blocks[-1, 1:4, 5:8] @ ends[-1, 1:]
-    right = right.reshape(size, 3)
-    weight = 1.0 / np.sqrt(banded[0])
-    for offset in range(len(banded)):
-        banded[offset, : size - offset] *= weight[: size - offset] * weight[offset:]
-    solution = solveh_banded(banded, right * weight[:, None], lower=True)
-    return (solution * weight[:, None]).reshape(inner, 3, 3)
+    weight = 1.0 / np.sqrt(np.einsum("maa->ma", diagonal))
+    diagonal *= weight[:, :, None] * weight[:, None, :]
+    coupling = coupling * weight[:-1, :, None] * weight[1:, None, :]
+    return weight[:, :, None] * _solve_chain(diagonal, coupling, weight[:, :, None] * right)
+
+
+def _solve_chain(diagonal: Array, coupling: Array, right: Array) -> Array:
+    """Return x (n, 3, c) of a symmetric positive definite system with 3 x 3 blocks along the diagonal.
+
+    coupling: the n - 1 blocks above the diagonal. Every second unknown is eliminated, until one is left.
+    """
+    if len(diagonal) == 1:
+        return np.linalg.solve(diagonal, right).astype(np.float64, copy=False)
+    above, below = coupling[::2], coupling[1::2]  # before and after each eliminated unknown; the last may be
+    between, count = len(below), len(above)  # without one after it
+    after = np.concatenate([below, np.zeros((count - between, 3, 3))])
+    given = np.concatenate([above.swapaxes(1, 2), after, right[1::2]], axis=2)
+    solved = np.linalg.solve(diagonal[1::2], given)
+    of_before, of_after, of_right = solved[..., :3], solved[:between, :, 3:6], solved[..., 6:]
+    kept, kept_right = diagonal[::2].copy(), right[::2].copy()
+    kept[:count] -= above @ of_before
+    kept[1:] -= below.swapaxes(1, 2) @ of_after
+    kept_right[:count] -= above @ of_right
+    kept_right[1:] -= below.swapaxes(1, 2) @ of_right[:between]
+    out = np.empty_like(right)
+    out[::2] = _solve_chain(kept, -above[:between] @ of_after, kept_right)
+    out[1::2] = of_right - of_before @ out[::2][:count]
+    out[1::2][:between] -= of_after @ out[2::2]
+    return out
 
 
 def cost_gradient(spline: SnapSpline) -> Annotated[np.ndarray, "legs"]:
@@ -180,8 +196,9 @@ def cost_gradient(spline: SnapSpline) -> Annotated[np.ndarray, "legs"]:
     scale = durations[:, None] ** _POWERS
     slope = _POWERS * durations[:, None] ** np.maximum(_POWERS - 1, 0)
     values = scale[:, :, None] * ends
-    cost = np.einsum("mac,ab,mbc->m", values, _GRAM, values)
-    change = np.einsum("mac,ab,mbc->m", slope[:, :, None] * ends, _GRAM, values)
+    weighted = _GRAM @ values
+    cost = (values * weighted).sum(axis=(1, 2))
+    change = (slope[:, :, None] * ends * weighted).sum(axis=(1, 2))
     return -7.0 * cost / durations**8 + 2.0 * change / durations**7
 
 
@@ -210,7 +227,7 @@ def optimise_durations(
 ) -> Annotated[np.ndarray, "legs"]:
     """Return the durations of the given sum that minimise the snap cost.
 
-    L-BFGS-B on the logarithm of the cost over the logarithms of the shares, with the exact gradient, from the
+    BFGS on the logarithm of the cost over the logarithms of the shares, with the exact gradient, from the
     heuristic durations. A share changes by at most a factor of three. Deterministic.
     """
     start = heuristic_durations(waypoints_ned, total_s)
@@ -228,13 +245,14 @@ def optimise_durations(
         return start
     log_start = np.log(start / total_s)
     reach = np.log(_SHARE_FACTOR)
-    optimum = minimize(
+    optimum = minimise_in_box(
         objective,
         log_start,
-        jac=True,
-        method="L-BFGS-B",
-        bounds=[(value - reach, value + reach) for value in log_start],
-        options={"maxiter": iterations, "ftol": 1e-9, "gtol": 1e-7},
+        log_start - reach,
+        log_start + reach,
+        iterations=iterations,
+        decrease=1e-9,
+        slope=1e-7,
     )
-    share = np.exp(optimum.x - optimum.x.max())
+    share = np.exp(optimum - optimum.max())
     return share / share.sum() * total_s

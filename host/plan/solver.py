@@ -11,7 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.codegen.compiler import wanted_compiler
+from trimtab.host.codegen.compiler import compiled
 from trimtab.host.plan.chain import Chain
 from trimtab.host.plan.interior_point import solve_chain
 from trimtab.host.plan.intervals import Engine
@@ -127,11 +127,12 @@ def solve(
     both; it alone varies.
     """
     started = time.process_time()
-    compiler = wanted_compiler()
     solution: Solution | None = None
-    if solver != "ipopt" and compiler is not None and engine.kernel is not None:
-        chain = Chain(engine.model, engine.kernel, compiler, problem, keep_out)
-        solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations)
+    kernel = engine.kernel
+    if solver != "ipopt" and kernel is not None:
+        chain = compiled(lambda compiler: Chain(engine.model, kernel, compiler, problem, keep_out))
+        if chain is not None:
+            solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations)
     if solution is None or (solver is None and not solution.status.usable):
         solution = _ipopt(Assembly(engine, problem, keep_out), tolerance, max_iterations)
     return replace(solution, solve_s=time.process_time() - started)

@@ -33,9 +33,7 @@ class ConfigurationError(TrimtabError, ValueError):
 class Strict(BaseModel):
     """Base class of users' TOML files: frozen, no unknown keys, no coercion, finite numbers."""
 
-    model_config = ConfigDict(
-        frozen=True, extra="forbid", strict=True, allow_inf_nan=False, use_attribute_docstrings=True
-    )
+    model_config = ConfigDict(frozen=True, extra="forbid", strict=True, allow_inf_nan=False, defer_build=True)
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)

@@ -36,6 +36,7 @@ def command(
     from trimtab.host.apps.demo.session import WORLD, DemoRequest, run_demo
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
+    from trimtab.host.base.workers import cores
     from trimtab.host.effects import load_effects
     from trimtab.host.trace.words import result_lines
     from trimtab.host.verbs.trace import manoeuvres
@@ -48,7 +49,9 @@ def command(
     airframe = space.vehicle(vehicle)
     folder = free_folder(space.root, output, force)
     outcome = run_demo(
-        DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force),
+        DemoRequest(
+            vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force, jobs=cores()
+        ),
         load_effects(space.root),
         on_message=say,
         manoeuvres=lambda: manoeuvres(space, airframe),

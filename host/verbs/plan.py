@@ -44,8 +44,6 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
     """Read the files that the options name. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
-    from trimtab.host.effects import load_effects
-    from trimtab.host.models.file import read_model
     from trimtab.host.plan.residual import ResidualModel
     from trimtab.host.route import route_file
     from trimtab.host.workspace import open_workspace
@@ -53,12 +51,16 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
     space = open_workspace(options.workspace)
     vehicle = space.vehicle(options.vehicle)
     target = space.route(route, vehicle)
-    model = None if options.model is None else read_model(options.model, vehicle_id=vehicle.id)
-    effects = load_effects(space.root)
-    try:
-        residual = ResidualModel() if model is None else ResidualModel.of(model, effects)
-    except ValueError as error:
-        raise UsageError(f"{options.model}: {error}") from None
+    model, effects, residual = None, None, ResidualModel()
+    if options.model is not None:
+        from trimtab.host.effects import load_effects
+        from trimtab.host.models.file import read_model
+
+        model, effects = read_model(options.model, vehicle_id=vehicle.id), load_effects(space.root)
+        try:
+            residual = ResidualModel.of(model, effects)
+        except ValueError as error:
+            raise UsageError(f"{options.model}: {error}") from None
     parents = {"vehicle": vehicle.id, "route": target.id}
     if model is not None:
         parents["model"] = model.id

@@ -27,7 +27,7 @@ from trimtab.host.base.errors import (
 from trimtab.host.log import LogError
 from trimtab.host.vehicle import ConfigurationError
 
-HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "pydantic", "pymavlink", "google", "rich.progress")
+HEAVY = ("numpy", "casadi", "scipy", "matplotlib", "pydantic", "pymavlink", "google", "rich", "cyclopts")
 
 
 def run_python(code: str) -> str:
@@ -59,6 +59,15 @@ def test_help_imports_no_verb_and_nothing_heavy() -> None:
     )
     assert "Close the gap" in printed
     assert printed.rstrip().endswith("LOADED [] []")
+
+
+def test_min_snap_plan_imports_no_scipy_and_no_matplotlib(tmp_path: Path) -> None:
+    printed = run_python(
+        "import sys\nfrom trimtab.host.cli import main\n"
+        f"main(['plan', 'hover', '-o', {str(tmp_path / 'hover.ref')!r}])\n"
+        "print('LOADED', [m for m in ('scipy', 'matplotlib', 'pymavlink', 'google') if m in sys.modules])"
+    )
+    assert printed.rstrip().endswith("LOADED []")
 
 
 @pytest.mark.parametrize(
@@ -191,7 +200,7 @@ class Finder:
     def find_spec(self, name, *of):
         if name == "cyclopts":
             press()
-sys.argv = ["trimtab", "--help"]
+sys.argv = ["trimtab", "log", "--help"]
 {when}
 from trimtab.host.cli import main
 sys.exit(main())

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable, Mapping
+from concurrent.futures import Executor
+from contextlib import closing
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -23,6 +25,7 @@ from trimtab.host.apps.demo.seeds import host_seed, world_seed
 from trimtab.host.apps.demo.steps import OnMessage, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
+from trimtab.host.base.workers import workers
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.file import write_model
@@ -34,7 +37,7 @@ from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import Manoeuvres, run
 from trimtab.host.vehicle import Vehicle
-from trimtab.protocol.blobs import FeedForward
+from trimtab.protocol.blobs import FeedForward, Reference
 
 WORLD = "drawn-several"
 REPEATS = 2
@@ -47,7 +50,8 @@ class DemoRequest:
     """Settings of a demo.
 
     `folder` receives every file and is made if missing; `force` overwrites files. If `routes` is None, they
-    are drawn from the seed. `repeats` is the number of repeat flights of each reference to learn from.
+    are drawn from the seed. `repeats` is the number of repeat flights of each reference to learn from. `jobs`
+    is the number of processes; it changes no file.
     """
 
     vehicle: Vehicle
@@ -57,6 +61,7 @@ class DemoRequest:
     routes: DemoRoutes | None = None
     repeats: int = REPEATS
     force: bool = False
+    jobs: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -125,8 +130,11 @@ class _Demo:
             f"every file goes to {request.folder}"
         )
         request.folder.mkdir(parents=True, exist_ok=True)
-        learning, held_out = self._plan()
-        used, unseen = self._fly(learning, held_out)
+        with workers(request.jobs) as pool:
+            for _ in range(request.jobs if request.jobs > 1 else 0):  # they start up while this one plans
+                pool.submit(self._field.check)
+            learning, held_out = self._plan()
+            used, unseen = self._fly(learning, held_out, pool)
         result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])
         model_path = self._request.folder / MODEL_NAME
         write_model(result.model, model_path, force=self._request.force)
@@ -158,7 +166,7 @@ class _Demo:
         return plans[:count], plans[count:]
 
     def _fly(
-        self, learning: list[Planned], held_out: list[Planned]
+        self, learning: list[Planned], held_out: list[Planned], pool: Executor
     ) -> tuple[list[tuple[Planned, Flight]], list[tuple[Planned, Flight]]]:
         """Fly every plan. The first reference goes on board through a pty, the others in lock-step."""
         field, first = self._field, learning[0]
@@ -171,16 +179,21 @@ class _Demo:
                 f"reference {first.name} through pyserial at {port}: {len(reference.to_bytes())} B in "
                 f"{sent.frames_sent} frames, checked on board and live"
             )
-        flown: list[tuple[Planned, Flight]] = []
         queue = [planned for planned in learning for _ in range(self._request.repeats)] + held_out
         with self._steps.step("fly", len(queue)) as (bar, done):
-            for planned in queue:
-                bar.advance(0.0, planned.name)
-                if not flown:
-                    flown.append((planned, self._first_flight(simulated, planned)))
-                else:
-                    flown.append((planned, self._flight(planned)))
-                bar.advance()
+            begun = [(first, self._next_flight(first))]
+            others = [(planned, self._next_flight(planned)) for planned in queue[1:]]
+            running = [
+                pool.submit(field.fly, planned.plan.reference, number, log)
+                for planned, (number, log) in others
+            ]
+            bar.advance(0.0, first.name)
+            self._fly_on(simulated, reference, *begun[0][1])
+            bar.advance(1.0, first.name)
+            for (planned, _), flight in zip(others, running, strict=True):
+                flight.result()
+                bar.advance(1.0, planned.name)
+            flown = [(planned, read_flight(log)) for planned, (_, log) in (*begun, *others)]
             count = len(queue) - len(held_out)
             errors = [tracked("", f, p, latency_s=0.0).stamped_rmse_m for p, f in flown]
             done(
@@ -312,23 +325,20 @@ class _Demo:
 
     # Parts of steps.
 
-    def _first_flight(self, simulated: Any, planned: Planned) -> Flight:
-        """Fly what is on board: the vehicle starts from power-up with its memory intact."""
+    def _next_flight(self, planned: Planned) -> tuple[int, Path]:
+        """Return the number and the log of the next flight."""
         self._flights += 1
-        simulated.power_cycle(self._flights)
-        log = self._files.log(self._flights, planned)
-        self._field.fly_with(simulated, planned.plan.reference, self._flights, log)
-        simulated.close()
-        return read_flight(log)
+        return self._flights, self._files.log(self._flights, planned)
 
-    def _flight(
-        self, planned: Planned, feedforward: FeedForward | None = None, model_id: str | None = None
-    ) -> Flight:
-        self._flights += 1
-        log = self._files.log(self._flights, planned)
-        self._field.fly(
-            planned.plan.reference, self._flights, log, feedforward=feedforward, model_id=model_id
-        )
+    def _fly_on(self, simulated: Any, reference: Reference, number: int, log: Path) -> None:
+        """Fly what is on board: the vehicle starts from power-up with its memory intact."""
+        with closing(simulated):
+            simulated.power_cycle(number)
+            self._field.fly_with(simulated, reference, number, log)
+
+    def _flight(self, planned: Planned, feedforward: FeedForward | None, model_id: str) -> Flight:
+        number, log = self._next_flight(planned)
+        self._field.fly(planned.plan.reference, number, log, feedforward=feedforward, model_id=model_id)
         return read_flight(log)
 
     def _failed(self, error: TrimtabError) -> str:

@@ -1,4 +1,4 @@
-"""Compiler and cache: found in order, keyed by content, written whole, and replaced where damaged."""
+"""The C compiler: found in order, its flags, its failures, and the portable path that follows them."""
 
 from __future__ import annotations
 
@@ -12,21 +12,13 @@ from trimtab.host.codegen import compiler as module
 from trimtab.host.codegen.compiler import (
     CodegenError,
     Compiler,
-    cache_directory,
+    compiled,
     engine_choice,
     find_compiler,
-    library_path,
-    shared_library,
+    run_compiler,
 )
 
 FAKE = Compiler(command=("no-such-compiler",), identity="fake 1")
-
-
-@pytest.fixture
-def cache(tmp_path, monkeypatch):
-    """An empty cache in place of the user's."""
-    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
-    return tmp_path / "cache"
 
 
 def _program(folder: Path, name: str, script: str) -> Path:
@@ -94,44 +86,58 @@ def test_engine_choice_of_another_word_raises_with_the_choices(monkeypatch):
     assert caught.value.exit_code == 2
 
 
-def test_library_path_follows_source_and_compiler(cache):
-    other = Compiler(command=FAKE.command, identity="fake 2")
-    paths = {library_path("a", FAKE), library_path("b", FAKE), library_path("a", other)}
-    assert len(paths) == 3
-    assert library_path("a", FAKE) in paths
-    assert all(path.parent == cache / "trimtab" / "codegen" for path in paths)
+@pytest.mark.parametrize(
+    ("script", "message"),
+    [
+        ("echo 'math.h: not found' >&2; exit 1", r"C compiler cc failed: math\.h: not found"),
+        ("exit 3", "C compiler cc failed: exit code 3"),
+        ('echo part > "${6}"; exit 1', "C compiler cc failed: exit code 1"),
+        ("kill -9 $$", "C compiler cc failed: it was ended by signal 9"),
+        ("exit 0", "C compiler cc made no usable library"),
+        ('echo part > "${6}"', "C compiler cc made no usable library"),
+    ],
+)
+def test_run_compiler_that_fails_raises_in_one_line(tmp_path, script, message):
+    program = _program(tmp_path / "bin", "cc", script)
+    with pytest.raises(CodegenError, match=message) as caught:
+        run_compiler("int x;", Compiler(command=(str(program),), identity="script"), tmp_path)
+    assert "\n" not in str(caught.value)
 
 
-def test_shared_library_is_compiled_once_and_leaves_nothing_else(cache, tmp_path):
-    count = tmp_path / "count"
-    script = f"""echo x >> {count}
-while [ $# -gt 0 ]; do if [ "$1" = -o ]; then echo library > "$2"; fi; shift; done"""
-    compiler = Compiler(command=(str(_program(tmp_path / "bin", "cc", script)),), identity="script")
-    first, second = shared_library("int x;", compiler), shared_library("int x;", compiler)
-    assert first == second
-    assert first.read_text() == "library\n"
-    assert count.read_text() == "x\n"
-    assert list(cache_directory().iterdir()) == [first]
+def test_run_compiler_that_writes_half_a_library_raises(tmp_path, require):
+    require("compiler")
+    real = find_compiler()
+    assert real is not None
+    script = f'{" ".join(real.command)} "$@" && truncate -s 2000 "${{6}}"'
+    program = _program(tmp_path / "bin", "cc", script)
+    with pytest.raises(CodegenError, match="made no usable library"):
+        run_compiler("int x = 3;", Compiler(command=(str(program),), identity="script"), tmp_path)
 
 
-def test_shared_library_of_a_failing_compiler_raises_with_its_first_line(cache, tmp_path):
-    program = _program(tmp_path / "bin", "cc", "echo 'math.h: not found' >&2; exit 1")
-    with pytest.raises(CodegenError, match=r"C compiler cc failed: math\.h: not found"):
-        shared_library("int x;", Compiler(command=(str(program),), identity="script"))
-    assert list(cache_directory().iterdir()) == []
-
-
-def test_shared_library_of_a_missing_program_raises(cache):
+def test_run_compiler_of_a_missing_program_raises(tmp_path):
     with pytest.raises(CodegenError, match="does not run"):
-        shared_library("int x;", FAKE)
+        run_compiler("int x;", FAKE, tmp_path)
 
 
-def test_cache_directory_that_cannot_be_made_is_a_temporary_one(tmp_path, monkeypatch):
-    blocked = tmp_path / "file"
-    blocked.touch()
-    monkeypatch.setenv("XDG_CACHE_HOME", str(blocked))
-    assert cache_directory().is_dir()
-    assert cache_directory() == cache_directory()
+def test_compiled_with_a_failing_compiler_is_none_and_one_line_for_all(monkeypatch, capsys):
+    def fail(compiler):
+        raise CodegenError(f"{compiler.name} failed")
+
+    monkeypatch.setattr(module, "find_compiler", lambda: FAKE)
+    monkeypatch.setattr(module, "_warned", set())
+    monkeypatch.delenv("TRIMTAB_ENGINE", raising=False)
+    assert [compiled(fail), compiled(fail, "auto"), compiled(fail, "vm")] == [None, None, None]
+    assert capsys.readouterr().err == (
+        "trimtab: no-such-compiler failed; continuing without compiled code, slower\n"
+    )
+    assert compiled(lambda compiler: compiler.identity) == "fake 1"
+    with pytest.raises(CodegenError, match="no-such-compiler failed"):
+        compiled(fail, "c")
+
+
+def test_flags_are_native_only_where_the_processor_is_known(monkeypatch):
+    monkeypatch.setattr(module, "processor", lambda: "")
+    assert not [flag for flag in module.flags(native=True) if flag.startswith("-m")]
 
 
 def test_flags_keep_ieee_arithmetic():

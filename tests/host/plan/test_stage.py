@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from collections.abc import Callable
 from typing import Any
 
 import casadi as ca
@@ -14,13 +15,14 @@ from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan import intervals
+from trimtab.host.plan import kernel as kernel_module
 from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Minimised, Weights
 from trimtab.host.plan.intervals import Engine, Intervals
-from trimtab.host.plan.kernel import kernel_source
+from trimtab.host.plan.kernel import kernel_key
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
 from trimtab.host.plan.tracking_error import ERROR_RATE, ERROR_STATES
-from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle import Vehicle, load_vehicle
 
 _EFFECTS = load_effects()
 _VEHICLE = load_vehicle("research")
@@ -284,7 +286,39 @@ def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
         Dynamics(vehicle=_VEHICLE, model=model, augmented=True).stage_model(minimise="residual")
         for model in (first.model, other)
     ]
-    assert kernel_source(models[0]) == kernel_source(models[1])
+    assert kernel_key(models[0]) == kernel_key(models[1])
+
+
+def test_kernel_key_follows_everything_that_its_source_does(monkeypatch: pytest.MonkeyPatch) -> None:
+    def key(*hidden: int, vehicle: Vehicle = _VEHICLE, frame: Frame = "world", augmented: bool = True) -> str:
+        layout = Layout(hidden=hidden, frame=frame)
+        model = ResidualModel(network=Network(layout=layout, xi=np.ones(layout.size)))
+        dynamics = Dynamics(vehicle=vehicle, model=model, augmented=augmented)
+        return kernel_key(dynamics.stage_model(minimise="residual"))
+
+    heavier = _VEHICLE.replace(mass_kg=1.01 * _VEHICLE.mass_kg)
+    plain = Dynamics(vehicle=_VEHICLE, model=ResidualModel(), augmented=False)
+    keys = [
+        key(8, 5),
+        key(5, 8),
+        key(8, 5, frame="body"),
+        key(8, 5, vehicle=heavier),
+        key(8, 5, augmented=False),
+        kernel_key(plain.stage_model(minimise=None)),
+        kernel_key(plain.stage_model(minimise=None, free_yaw=True)),
+    ]
+    monkeypatch.setattr(kernel_module, "_generators", lambda: "another version")
+    assert len({*keys, key(8, 5)}) == len(keys) + 1
+
+
+def test_kernel_in_the_cache_is_found_without_its_source(
+    monkeypatch: pytest.MonkeyPatch, require: Callable[[str], None]
+) -> None:
+    require("compiler")
+    model = _dynamics(True, "world").stage_model(minimise="residual")
+    Engine(model, "c")
+    monkeypatch.setattr(kernel_module, "_Parts", None)
+    assert Engine(model, "c").compiled
 
 
 def test_cost_of_a_tracked_path_is_its_weight_times_the_squared_distance() -> None:

@@ -17,11 +17,11 @@ from typing import Any
 import pytest
 from mcap.reader import make_reader
 
-from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
+from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
+from trimtab.host.apps.demo.flights import TRUTH_SUFFIX, Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
-from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
+from trimtab.host.apps.demo.session import WORLD, DemoRequest, Outcome, run_demo
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
@@ -40,7 +40,9 @@ def demo(
     tmp_path_factory: pytest.TempPathFactory, short_routes: DemoRoutes
 ) -> tuple[Path, Outcome, list[str]]:
     folder = tmp_path_factory.mktemp("demo")
-    order = DemoRequest(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
+    order = DemoRequest(
+        vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes, jobs=2
+    )
     said: list[str] = []
     return folder, run_demo(order, load_effects(), on_message=said.append), said
 
@@ -134,6 +136,17 @@ def test_demo_compares_plans_of_one_route_time_and_limits_that_differ_in_cost(de
     assert flights[0].firmware_parameters == flights[2].firmware_parameters == flights[3].firmware_parameters
     assert [flight.feedforward is None for flight in flights] == [True, True, True, False]
     assert flights[2].reference_id == flights[3].reference_id != flights[0].reference_id
+
+
+def test_demo_in_several_processes_writes_the_logs_of_one(demo: Demo, tmp_path: Path) -> None:
+    folder, outcome, _ = demo
+    (log,) = folder.glob("03-*.mcap")
+    first = read_flight(log)
+    files = DemoFiles(folder=folder, vehicle=load_vehicle("research"), seed=host_seed(SEED), force=True)
+    field = Airfield(vehicle=files.vehicle, world=WORLD, world_seed=world_seed(SEED), session=files.session())
+    field.fly(outcome.comparison.first[0].planned.plan.reference, 3, tmp_path / log.name)
+    assert first.reference_id == outcome.comparison.first[0].planned.plan.reference.id
+    assert (tmp_path / log.name).read_bytes() == log.read_bytes()
 
 
 def test_demo_leaves_every_artefact_whole(demo: Demo) -> None:

@@ -1,0 +1,50 @@
+"""Independent calls over several processes. The results do not depend on their number."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import signal
+from collections.abc import Callable, Iterator
+from concurrent.futures import Executor, Future, ProcessPoolExecutor
+from contextlib import contextmanager
+from typing import Any
+
+
+def cores() -> int:
+    """Return how many cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+@contextmanager
+def workers(jobs: int) -> Iterator[Executor]:
+    """Yield an executor of up to `jobs` processes; with one job, calls run in this process when submitted.
+
+    Functions, arguments and results are pickled. On an error, calls that have not begun are cancelled.
+    """
+    if jobs == 1:
+        yield _Here()
+        return
+    spawn = multiprocessing.get_context("spawn")
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_leave_interrupts_to_parent)
+    try:
+        yield pool
+    finally:
+        pool.shutdown(cancel_futures=True)
+
+
+class _Here(Executor):
+    """An executor that runs each call at once."""
+
+    def submit(self, fn: Callable[..., Any], /, *args: Any, **kwargs: Any) -> Future[Any]:
+        future: Future[Any] = Future()
+        try:
+            future.set_result(fn(*args, **kwargs))
+        except Exception as error:
+            future.set_exception(error)
+        return future
+
+
+def _leave_interrupts_to_parent() -> None:
+    """Ignore Ctrl-C, which the terminal sends to every process of the command."""
+    signal.signal(signal.SIGINT, signal.SIG_IGN)

@@ -1,0 +1,138 @@
+"""Shared libraries from C source: compiled once, cached, checked and loaded.
+
+The cache is a directory for each key, the hash of everything that determines a library: its source, the
+compiler, its flags, and for native code the processor. A library's name is the hash of its content. So one
+that is cut short, was damaged, or is another machine's is never loaded but compiled anew.
+"""
+
+from __future__ import annotations
+
+import atexit
+import hashlib
+import os
+import platform
+import shutil
+import sys
+import tempfile
+from collections.abc import Callable
+from contextlib import suppress
+from functools import cache
+from pathlib import Path
+from typing import TypeVar
+
+from trimtab.host.base.text import readable
+from trimtab.host.codegen.compiler import CodegenError, Compiler, flags, processor, run_compiler, warn_once
+
+T = TypeVar("T")
+
+_uncached: dict[str, list[Path]] = {}
+"""Libraries by key that this process has compiled and the cache has not."""
+
+
+def load_library(
+    load: Callable[[str], T],
+    key: str,
+    compiler: Compiler,
+    *,
+    source: Callable[[], str] | None = None,
+    native: bool = False,
+    include: Path | None = None,
+) -> T:
+    """Return `load(path)` of a library, which is compiled now unless the cache has it.
+
+    `key`: the C source, or a text that determines it; then `source` returns the C. `native`: for the
+    instructions of this machine. `include`: directory of headers; the key must name their version. Raises
+    CodegenError where the library cannot be compiled or loaded.
+    """
+    name = library_key(key, compiler, native=native)
+    for path in _whole_libraries(cache_directory() / name) or _uncached.get(name, []):
+        with suppress(OSError, RuntimeError):  # it needs what this machine lacks, say: compile it again
+            return load(str(path))
+    text, scratch = key if source is None else source(), _temporary()
+    try:
+        with tempfile.TemporaryDirectory(prefix=".build-", dir=scratch) as folder:
+            library = run_compiler(text, compiler, Path(folder), native=native, include=include)
+            return load(str(_publish(library, name)))
+    except (OSError, RuntimeError) as error:
+        raise CodegenError(f"compiled code cannot be written or loaded: {readable(str(error))}") from None
+
+
+def library_key(key: str, compiler: Compiler, *, native: bool = False) -> str:
+    """Return the name in the cache for this source or key, compiler, flags and machine."""
+    parts = (key, compiler.identity, " ".join(flags(native=native)), sys.platform, platform.machine())
+    parts += (processor(),) if native else ()
+    return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
+
+
+def cache_directory() -> Path:
+    """Return the directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen.
+
+    Where it cannot be made, return one that is deleted when this process ends.
+    """
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    try:
+        root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+        path = root / "trimtab" / "codegen"
+        path.mkdir(parents=True, exist_ok=True)
+    except (OSError, RuntimeError) as error:
+        _warn_of_cache(error)
+        return _temporary()
+    return path
+
+
+@cache
+def _temporary() -> Path:
+    """Return a directory that is deleted when this process ends. Raises CodegenError if there is none."""
+    try:
+        path = Path(tempfile.mkdtemp(prefix="trimtab-"))
+    except OSError as error:
+        raise CodegenError(f"no room for compiled code: {error}") from None
+    atexit.register(shutil.rmtree, path, ignore_errors=True)
+    return path
+
+
+def _whole_libraries(folder: Path) -> list[Path]:
+    """Return the libraries of this directory whose content has the hash in their name."""
+    try:
+        return [path for path in sorted(folder.glob("*.so")) if path.stem == _content_hash(path.read_bytes())]
+    except OSError:  # it cannot be read: compile it again
+        return []
+
+
+def _publish(library: Path, name: str) -> Path:
+    """Move a library into the cache and return its path, or into a temporary directory where that fails.
+
+    It appears whole or not at all, also where two processes do the same.
+    """
+    content = library.read_bytes()
+    try:
+        return _written(content, cache_directory() / name)
+    except OSError as error:
+        _warn_of_cache(error)
+        _uncached[name] = [_written(content, _temporary() / name)]
+        return _uncached[name][0]
+
+
+def _written(content: bytes, folder: Path) -> Path:
+    """Write a library under the name of its content and return its path."""
+    folder.mkdir(exist_ok=True)
+    path = folder / f"{_content_hash(content)}.so"
+    handle, temporary = tempfile.mkstemp(prefix=".", dir=folder)
+    try:
+        with os.fdopen(handle, "wb") as file:
+            file.write(content)
+        os.chmod(temporary, 0o644)
+        os.replace(temporary, path)
+    except OSError:
+        with suppress(OSError):
+            os.unlink(temporary)
+        raise
+    return path
+
+
+def _content_hash(content: bytes) -> str:
+    return hashlib.sha256(content).hexdigest()[:32]
+
+
+def _warn_of_cache(error: BaseException) -> None:
+    warn_once("cache", f"no cache of compiled code, so each run compiles it anew: {readable(str(error))}")
