@@ -3,28 +3,31 @@
 from __future__ import annotations
 
 import math
-import struct
+from array import array
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from operator import add
 from typing import NamedTuple
 
 import numpy as np
 
 from trimtab.firmware_model.clock import NEVER_US
+from trimtab.host.codegen import address
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
 _LEAST_NOISE = 1e-9  # an IMU never repeats a value exactly; the vehicle would take it for stuck
 _BOW_PER_M = 0.02  # a tilted camera frame is also curved: its tilt changes along the direction of the lean
-_SEVEN = struct.Struct("7d")
+SAMPLES = 7
+"""Numbers measured in a tick: gyro 3, specific force 3, voltage."""
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: a busy computer that stamps the poses delays them by varying amounts
 )
 
 
 class Imu:
-    """Noise and bias of gyro, accelerometer and voltage: seven numbers per tick.
+    """Noise and bias of gyro, accelerometer and voltage, SAMPLES numbers per tick.
 
     Parameters
     ----------
@@ -42,16 +45,31 @@ class Imu:
         )
         self._noise[:6] = np.maximum(self._noise[:6], _LEAST_NOISE)
         bias = np.array([s.gyro_bias_rad_s] * 3 + [s.accelerometer_bias_m_s2] * 3 + [0.0])
-        self.bias = bias * rng.standard_normal(7)
+        self.bias = bias * rng.standard_normal(SAMPLES)
+        self._block = memoryview(array("d"))
+        self._at = self._address = 0
 
-    def errors(self) -> Iterator[tuple[float, ...]]:
-        """Yield the errors of each tick without end: gyro 3, specific force 3, voltage 1.
+    def left(self) -> int:
+        """Return for how many ticks errors have been drawn, at least one.
 
         They are drawn in blocks, and each block is used from its last row.
         """
-        while True:
-            block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
-            yield from _SEVEN.iter_unpack(block[::-1].tobytes())
+        if self._at == len(self._block):
+            rows = self._rng.standard_normal((_BLOCK, SAMPLES)) * self._noise + self.bias
+            self._block, self._at = rows[::-1].reshape(-1).data, 0
+            self._address = address(self._block)
+        return (len(self._block) - self._at) // SAMPLES
+
+    def take(self, count: int) -> int:
+        """Return the address of the errors of the next ticks, at most `left`."""
+        at, self._at = self._at, self._at + SAMPLES * count
+        return self._address + at * self._block.itemsize
+
+    def sample(self, sensed: Sequence[float], samples: memoryview) -> None:
+        """Write the true values of a tick, with its errors added, to `samples`."""
+        self.left()
+        at, self._at = self._at, self._at + SAMPLES
+        samples[:] = memoryview(array("d", map(add, sensed, self._block[at : self._at])))
 
 
 class Pose(NamedTuple):
