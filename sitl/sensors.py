@@ -85,8 +85,9 @@ class Mocap:
     """A camera system: noisy poses at a fixed rate that arrive with a delay, or not at all.
 
     A pose shows the vehicle `latency_s` before its stamp, with a small variation between poses. Positions and
-    attitudes are rotated about the origin by `tilt`. `due_us` is the next time that `tick` has work; `ready`
-    holds the poses that were not read yet.
+    attitudes are rotated about the origin by `tilt`. `due_us` is the next time that `tick` has work,
+    `exposure_us` the next one at which it looks at the vehicle; `ready` holds the poses that were not read
+    yet.
 
     Parameters
     ----------
@@ -116,25 +117,25 @@ class Mocap:
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
         ]
         self._rows: list[list[float]] = []
-        self._exposure_us = 0.0
+        self._true_us = 0.0
         self._stamp_us = 0
         self._in_transit: deque[Pose] = deque()
         self.ready: list[Pose] = []
         self._next_exposure()
-        self.due_us = self._exposure_due_us
+        self.due_us = self.exposure_us
 
     def tick(self, now_us: int, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         """Take the exposures that are due, and move arrived poses to `ready`.
 
         `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; its motion within a tick is uniform.
         """
-        while self._exposure_due_us <= now_us:
-            self._expose((self._exposure_us - now_us) * 1e-6, pose, rate_frd)
+        while self.exposure_us <= now_us:
+            self._expose((self._true_us - now_us) * 1e-6, pose, rate_frd)
             self._next_exposure()
         while self._in_transit and self._in_transit[0].arrival_us <= now_us:
             self.ready.append(self._in_transit.popleft())
         arrival = self._in_transit[0].arrival_us if self._in_transit else NEVER_US
-        self.due_us = min(self._exposure_due_us, arrival)
+        self.due_us = min(self.exposure_us, arrival)
 
     def read(self) -> list[Pose]:
         """Return the poses that have arrived since the last call, oldest first."""
@@ -148,8 +149,8 @@ class Mocap:
         self._row = self._rows.pop()
         self._stamp_us += self._period_us
         late = self._latency_us * (1.0 + self._row[6])
-        self._exposure_us = max(self._stamp_us - late, 0.0)
-        self._exposure_due_us = int(self._exposure_us) // TICK_US * TICK_US
+        self._true_us = max(self._stamp_us - late, 0.0)
+        self.exposure_us = int(self._true_us) // TICK_US * TICK_US
 
     def _expose(self, dt_s: float, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         noise = self._row

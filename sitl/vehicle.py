@@ -135,16 +135,15 @@ class SimulatedVehicle:
 
         Runs at least one tick if `t_us` lies ahead. Raises ForeignPlantError if a foreign plant fails.
         """
-        devices, port, camera, next_tick_us = self._devices, self._host_port, self._camera, self._next_tick_us
+        devices, port, camera = self._devices, self._host_port, self._camera
         now_us = self.now_us - self._booted_us
         t_us -= self._booted_us
         try:
             while now_us < t_us:
-                now_us = next_tick_us(now_us, t_us)
+                now_us += TICK_US
                 devices(now_us)
                 if now_us >= port.due_us or camera.ready:
                     break
-            self._advance(now_us)
         finally:
             self.now_us = self._booted_us + now_us
         if now_us >= self._flight_mcu.reboot_us:
@@ -207,6 +206,7 @@ class SimulatedVehicle:
 
     def true_position(self) -> tuple[float, float, float]:
         """Return the true position, NED. For checks only."""
+        self._advance(self.now_us - self._booted_us)
         x, y, z = self._pose[0:3]
         return x, y, z
 
@@ -225,6 +225,7 @@ class SimulatedVehicle:
 
     def _reboot(self) -> None:
         """Restart all devices except the cameras' clock, with a full battery, and right a crashed vehicle."""
+        self._advance(self.now_us - self._booted_us)
         self.store = ReferenceStore(self.store.flash)
         self._power_up(self._flight, self._setting.place_after_reboot(self._pose), self.now_us)
 
@@ -290,29 +291,12 @@ class SimulatedVehicle:
         seed = int(flight_generator(setting.world.seed, flight, Purpose.FOREIGN_PLANT).integers(2**62))
         return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
 
-    def _next_tick_us(self, now_us: int, until_us: int) -> int:
-        """Return the time of the next tick in which a device has work, at most the first from `until_us`."""
-        mcu = self._flight_mcu
-        due_us = min(
-            until_us, self._camera.due_us, self._host_port.due_us, self._timing.due_us, mcu.work_us, mcu.uart.due_us
-        )
-        if not self._wired:
-            ground, air = self._ground_radio, self._air_radio
-            due_us = min(
-                due_us,
-                self._channel.due_us,
-                ground.radio_due_us,
-                ground.uart.due_us,
-                air.radio_due_us,
-                air.uart.due_us,
-            )
-        return now_us + TICK_US if due_us <= now_us else due_us + -due_us % TICK_US
-
     def _devices(self, now_us: int) -> None:
         """Tick the devices that have work: camera, radios, then the flight processor."""
         camera, mcu, timing = self._camera, self._flight_mcu, self._timing
         if now_us >= camera.due_us:
-            self._advance(now_us)
+            if now_us >= camera.exposure_us:
+                self._advance(now_us)
             camera.tick(now_us, self._pose, self._sensed[0:3])
         if not self._wired:
             channel, ground, air = self._channel, self._ground_radio, self._air_radio
