@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import ctypes
 from array import array
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any
 
 from trimtab.firmware_model.mcu.flight_mcu import FlightMcu
@@ -17,7 +17,7 @@ from trimtab.host.codegen import CompiledEngine, address, c_function, c_library
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.foreign import ForeignPlant
 from trimtab.sitl.plant import Plant
-from trimtab.sitl.sensors import SAMPLES, Imu
+from trimtab.sitl.sensors import Imu
 
 _SOURCE = """
 #include <string.h>
@@ -78,7 +78,6 @@ class InnerLoop:
     """
 
     def __init__(self, plant: Plant | ForeignPlant, imu: Imu, mcu: FlightMcu, law: Any) -> None:
-        self.samples = memoryview(array("d", bytes(8 * SAMPLES)))
         self.pending = False
         self._now_us = 0
         self._plant, self._imu, self._mcu = plant, imu, mcu
@@ -89,10 +88,12 @@ class InnerLoop:
         self._memory, self._memory_out = inputs["memory"], outputs["memory"]
         self._saturated, self._motors = outputs["saturated"], outputs["motor_command"]
         self._sensed: Any = plant.sensed
+        self.samples: Sequence[float] = imu.sample(self._sensed)
         self._native = None
         if isinstance(plant, Plant) and isinstance(self._law, CompiledEngine):
-            self._native = native_loop(plant, self._law, law, self.samples)
-        self._sense()
+            view = memoryview(array("d", self.samples))
+            self._native = native_loop(plant, self._law, law, view)
+            self.samples = view if self._native is not None else self.samples
 
     def advance(self, now_us: int) -> None:
         """Run plant and sensors up to `now_us`, and the law, where it is pending, up to the tick before."""
@@ -129,26 +130,25 @@ class InnerLoop:
 
     def _run(self, count: int) -> int:
         """Run `count` ticks in Python; return the number of saturated ticks."""
-        player, law, step, motors, samples = self._player, self._law, self._plant.step, self._motors, self.samples
+        player, law, step, sample = self._player, self._law, self._plant.step, self._imu.sample
         piece, yaw, piece_us, yaw_us = player.piece, player.yaw, player.piece_us, player.yaw_us
-        saturated = 0
-        for _ in range(count):
-            if self.pending:
-                self._gyro[:], self._force[:] = samples[0:3], samples[3:6]
-                piece[0] = (self._now_us - piece_us) * 1e-6
-                yaw[0] = (self._now_us - yaw_us) * 1e-6
+        gyro, force, memory, memory_out = self._gyro, self._force, self._memory, self._memory_out
+        motors, sensed, samples, pending = self._motors, self._sensed, self.samples, self.pending
+        begin_us, saturated = self._now_us, 0
+        self._now_us += count * TICK_US
+        for t_us in range(begin_us, self._now_us, TICK_US):
+            if pending:
+                gyro[0], gyro[1], gyro[2], force[0], force[1], force[2], _ = samples
+                piece[0] = (t_us - piece_us) * 1e-6
+                yaw[0] = (t_us - yaw_us) * 1e-6
                 law()
-                self._memory[:] = self._memory_out
+                memory[:] = memory_out
                 saturated += self._saturated[0] != 0.0
             step(motors)
-            self._sense()
-            self._now_us += TICK_US
-            self.pending = True
+            samples = sample(sensed)
+            pending = True
+        self.samples = samples
         return saturated
-
-    def _sense(self) -> None:
-        """Sample the IMU and the voltage."""
-        self._imu.sample(self._sensed, self.samples)
 
 
 class _Engine(ctypes.Structure):
@@ -184,6 +184,7 @@ def native_loop(
     for field, engine, call in zip(("plant", "law"), (plant.engine, law), calls, strict=True):
         setattr(loop, field, _engine(engine, call, kept))
     delay, inputs, outputs = plant.delay, plant.engine.inputs, plant.engine.outputs
+    _, later, earlier, part = zip(*delay.motors, strict=True)
     views = {
         "state": inputs["state"],
         "state_out": outputs["state"],
@@ -192,9 +193,9 @@ def native_loop(
         "motors": law.outputs["motor_command"],
         "command": inputs["command"],
         "sent": delay.sent,
-        "later": delay.later,
-        "earlier": delay.earlier,
-        "part": delay.part,
+        "later": memoryview(array("q", later)),
+        "earlier": memoryview(array("q", earlier)),
+        "part": memoryview(array("d", part)),
         "sensed": outputs["sensed"],
         "samples": samples,
         "noise": inputs["noise"],

@@ -41,28 +41,23 @@ class PlantPort(Protocol):
 
 
 class Delay(NamedTuple):
-    """Past commands, newest tick first, and for each motor which two of them it follows.
+    """Past commands, and which two of them each motor follows.
 
-    sent: four commands a tick; empty without a delay. later, earlier: indices in `sent` around the delay of
-    each motor. part: fraction of a tick between them.
+    sent: four commands a tick, newest tick first; empty without a delay. motors: for each motor its number,
+    the two indices in `sent` around its delay, and the fraction of a tick between them.
     """
 
     sent: memoryview
-    later: memoryview
-    earlier: memoryview
-    part: memoryview
+    motors: tuple[tuple[int, int, int, float], ...]
 
     @classmethod
     def of(cls, ticks: Sequence[float]) -> Delay:
         """Return the delay of each motor, in ticks."""
         size = 4 * (int(max(ticks)) + 2) if max(ticks) > 0.0 else 0
-        later = [4 * int(delay) + i for i, delay in enumerate(ticks)]
-        return cls(
-            memoryview(array("d", bytes(8 * size))),
-            memoryview(array("q", later)),
-            memoryview(array("q", [at + 4 for at in later])),
-            memoryview(array("d", [delay - int(delay) for delay in ticks])),
+        motors = tuple(
+            (i, 4 * int(delay) + i, 4 * int(delay) + 4 + i, delay - int(delay)) for i, delay in enumerate(ticks)
         )
+        return cls(memoryview(array("d", bytes(8 * size))), motors)
 
 
 class Plant:
@@ -132,17 +127,18 @@ class Plant:
         command, delay = self._command, self.delay
         if delay.sent:
             sent = delay.sent
-            sent[4:], sent[0:4] = sent[:-4], memoryview(array("d", motor_command))
-            for i, (later, earlier, part) in enumerate(zip(delay.later, delay.earlier, delay.part, strict=True)):
+            sent[4:] = sent[:-4]
+            sent[0], sent[1], sent[2], sent[3] = motor_command
+            for i, later, earlier, part in delay.motors:
                 newer = sent[later]
                 command[i] = newer + part * (sent[earlier] - newer)
         else:
             command[0], command[1], command[2], command[3] = motor_command
         if not self._calm:
-            self.noise_left()
-            at = self._at
-            self._at = after = at + NOISE
-            self._noise[:] = self._block[at:after]
+            if self._at == len(self._block):
+                self.noise_left()
+            at, self._at = self._at, self._at + NOISE
+            self._noise[:] = self._block[at : self._at]
         self._state[:] = self.state
         self.engine()
 

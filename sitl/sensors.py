@@ -6,7 +6,6 @@ import math
 from array import array
 from collections import deque
 from collections.abc import Sequence
-from operator import add
 from typing import NamedTuple
 
 import numpy as np
@@ -65,11 +64,14 @@ class Imu:
         at, self._at = self._at, self._at + SAMPLES * count
         return self._address + at * self._block.itemsize
 
-    def sample(self, sensed: Sequence[float], samples: memoryview) -> None:
-        """Write the true values of a tick, with its errors added, to `samples`."""
-        self.left()
+    def sample(self, sensed: Sequence[float]) -> tuple[float, ...]:
+        """Return the true values of a tick with its errors added."""
+        if self._at == len(self._block):
+            self.left()
         at, self._at = self._at, self._at + SAMPLES
-        samples[:] = memoryview(array("d", map(add, sensed, self._block[at : self._at])))
+        dp, dq, dr, dx, dy, dz, dv = self._block[at : self._at]
+        p, q, r, x, y, z, v = sensed
+        return p + dp, q + dq, r + dr, x + dx, y + dy, z + dz, v + dv
 
 
 class Pose(NamedTuple):
