@@ -10,7 +10,7 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import Linearisation
+from trimtab.host.trace.linearisation import Linearisation
 from trimtab.host.trace.flight_fit.fit import FlightFit, prior_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit.fit import SegmentFit

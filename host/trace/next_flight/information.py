@@ -17,7 +17,7 @@ from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, RUN_UP_LAGS, SEGMENT_S
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.evidence import DisturbanceVariances
+from trimtab.host.trace.linearisation import DisturbanceVariances
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel

@@ -10,7 +10,8 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation, Prior
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 from trimtab.host.trace.segment_fit import linearise

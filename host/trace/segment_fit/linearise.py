@@ -17,7 +17,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
-from trimtab.host.trace.evidence import Linearisation
+from trimtab.host.trace.linearisation import Linearisation
 from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 

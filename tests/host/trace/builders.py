@@ -20,7 +20,7 @@ from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
 from trimtab.host.trace.decision.findings import Verdict
-from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 from trimtab.host.trace.parameters import Column, ParameterSpace
