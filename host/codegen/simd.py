@@ -7,6 +7,7 @@ often, are vector code with an error of about 1e-16.
 
 from __future__ import annotations
 
+import ctypes
 from pathlib import Path
 from typing import Annotated
 
@@ -23,6 +24,9 @@ _ALIGNED = 64
 _HERE = Path(__file__).parent
 
 PRELUDE = f"#define LANES {LANES}\n" + (_HERE / "simd.h").read_text(encoding="utf-8")
+
+RK4 = (_HERE / "rk4.h").read_text(encoding="utf-8")
+"""C of a Runge-Kutta step, which follows PRELUDE."""
 
 LAYERS = (_HERE / "layers.h").read_text(encoding="utf-8")
 """C of a network's layers, which follows PRELUDE."""
@@ -133,6 +137,11 @@ def rows_of(lanes: Annotated[np.ndarray, "... lanes"], count: int) -> np.ndarray
     """Return the first `count` rows (count, ...) of an array by `lanes_of`."""
     rows = np.moveaxis(lanes, -1, 1)
     return rows.reshape(-1, *rows.shape[2:])[:count]
+
+
+def pointer(array: np.ndarray | None) -> ctypes.c_void_p:
+    """Return the address of an array's numbers, of None a null pointer."""
+    return ctypes.c_void_p(None if array is None else array.ctypes.data)
 
 
 def aligned(shape: tuple[int, ...]) -> np.ndarray:

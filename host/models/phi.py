@@ -31,7 +31,6 @@ from trimtab.firmware_model.law.observer import bounded, measured_disturbance
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI, NUMPY
-from trimtab.host.codegen.rk4 import RungeKutta, runge_kutta
 from trimtab.host.effects import Effect
 from trimtab.host.models import continuous_law, estimator
 from trimtab.host.models.airframe import RATE, STATE_SIZE, THRUST, Part, V
@@ -56,7 +55,6 @@ from trimtab.host.models.feedback import (
     estimate_with_standing_errors,
     logged_estimate,
 )
-from trimtab.host.models.lanes import LaneProgram, lane_program
 from trimtab.host.models.slots import command_delay_s, memory_at_rest, memory_rates, memory_size, motor_lag_s
 from trimtab.host.vehicle import Vehicle, to_parameters
 from trimtab.protocol.parameters import DEFAULTS
@@ -295,16 +293,6 @@ class Phi:
         xdot = self.derivative(CASADI, *scalars)
         (xdot,) = casadi.cse([casadi.densify(casadi.vertcat(*xdot))])
         return casadi.Function("phi", inputs, [xdot], names, ["xdot"])
-
-    @cached_property
-    def program(self) -> LaneProgram:
-        """The derivative over numpy lanes."""
-        return lane_program(self.function)
-
-    @cached_property
-    def integrator(self) -> RungeKutta | None:
-        """Compiled RK4 integrator of the derivative; None where there is no compiler."""
-        return runge_kutta(self.program.function)
 
     @cached_property
     def stiffness(self) -> float:

@@ -5,7 +5,7 @@ Each step is a compiled program over lanes. A lane is one roll-out of one segmen
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from functools import cached_property
 from typing import Annotated, Any
 
@@ -14,11 +14,11 @@ import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec
+from trimtab.host.codegen.batch import Batch
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.models import dynamics, slots
 from trimtab.host.models.airframe import Part
-from trimtab.host.models.lanes import LaneProgram, Lanes, lane_program
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
@@ -69,21 +69,21 @@ class SegmentModel:
         self.in_newton = in_newton
         self.rate_driven = rate_driven
         self.memory = slots.memory_size(space.effects[name] for name in space.parts)
-        self._bound: dict[tuple[str, int], Lanes] = {}
+        self._bound: dict[tuple[str, int], Batch] = {}
 
     @classmethod
     def of(cls, vehicle: Vehicle, space: ParameterSpace, data: Segments) -> SegmentModel:
         """Return the model that predicts `data`."""
         return cls(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
 
-    def bind(self, name: str, lanes: int) -> Lanes:
+    def bind(self, name: str, lanes: int) -> Batch:
         """Return a program with arrays for `lanes` lanes; calls with the same arguments share the arrays.
 
         name: "step", "rotors" or "memory".
         """
         key = name, lanes
         if key not in self._bound:
-            self._bound[key] = self._programs[name].bind(lanes, compiled=name == "memory")
+            self._bound[key] = Batch(self._programs[name], lanes, compiled=name == "memory")
         return self._bound[key]
 
     def memory_of(self, owner: str) -> int:
@@ -118,15 +118,15 @@ class SegmentModel:
 
     @cached_property
     @held_interrupts()
-    def _programs(self) -> dict[str, LaneProgram]:
+    def _programs(self) -> dict[str, casadi.Function]:
         return {"step": self._step(), "rotors": self._rotors(), "memory": self._own_states()}
 
-    def _symbols(self, *names: str) -> tuple[list[casadi.SX], list[list[Scalar]]]:
+    def _symbols(self, *names: str) -> tuple[dict[str, casadi.SX], list[list[Scalar]]]:
         sizes = _STEP_INPUTS | {"z": len(self.space.columns), "memory": self.memory, "acceleration": 3}
-        columns = [casadi.SX.sym(name, sizes[name]) for name in names]
-        return columns, [[c[i] for i in range(c.shape[0])] for c in columns]
+        columns = {name: casadi.SX.sym(name, sizes[name]) for name in names}
+        return columns, [[c[i] for i in range(c.shape[0])] for c in columns.values()]
 
-    def _rotors(self) -> LaneProgram:
+    def _rotors(self) -> casadi.Function:
         """Return the program of the rotors: (thrust, z, command) -> (next, settled).
 
         next: thrusts one step later. settled: thrusts at which the command would hold them.
@@ -136,21 +136,17 @@ class SegmentModel:
         keep = casadi.exp(-self.dt_s / lag)
         target = self._commanded(theta_scaled, command)
         after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
-        start = casadi.vertcat(*target)
-        names = ["thrust", "z", "command"]
-        function = casadi.Function(
-            "rotors", columns, [casadi.vertcat(*after), start], names, ["next", "settled"]
-        )
-        return lane_program(function)
+        return _function("rotors", columns, {"next": after, "settled": target})
 
-    def _own_states(self) -> LaneProgram:
+    def _own_states(self) -> casadi.Function:
         """Return the program of the effects' states: (body, z, memory, acceleration) -> (rates, rest).
 
         rates: derivatives of the states. rest: their values at rest. Along a measured path the rotor thrusts
         are not known, so they follow from the measured `acceleration` (NED, m/s^2).
         """
-        names = ["body", "z", "memory", "acceleration"]
-        columns, (body, theta_scaled, memory, acceleration) = self._symbols(*names)
+        columns, (body, theta_scaled, memory, acceleration) = self._symbols(
+            "body", "z", "memory", "acceleration"
+        )
         parts, vehicle = self._parts(theta_scaled), self.vehicle
         R = euler_to_matrix(CASADI, body[6:9])
         rotor: Scalar = vehicle.mass_kg * GRAVITY / 4.0
@@ -163,18 +159,14 @@ class SegmentModel:
         x = [*body, *(rotor,) * 4]
         rates = slots.memory_rates(CASADI, vehicle, parts, x, memory)
         rest = slots.memory_at_rest(CASADI, vehicle, parts, x)
-        out = [
-            casadi.vertcat(*map(casadi.SX, column)) if column else casadi.SX(0, 1) for column in (rates, rest)
-        ]
-        return lane_program(casadi.Function("memory", columns, out, names, ["rates", "rest"]))
+        return _function("memory", columns, {"rates": rates, "rest": rest})
 
-    def _step(self) -> LaneProgram:
+    def _step(self) -> casadi.Function:
         """Return the program of one step: the state after it, and the predicted measurements.
 
         The body and the effects' states use the midpoint rule; the rotors are integrated exactly.
         """
-        names = list(_STEP_INPUTS)
-        columns, scalars = self._symbols(*names)
+        columns, scalars = self._symbols(*_STEP_INPUTS)
         body, thrust, theta_scaled, memory, nuisances, w, command, measured, rate = scalars[:9]
         (voltage,), (t_s,), (shift,) = scalars[9:]
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
@@ -212,14 +204,24 @@ class SegmentModel:
             *(body[9 + i] + 0.5 * dt * k2[9 + i] for i in range(3)),
             *(f + b for f, b in zip(_specific_force(parts, half, k2), nuisances[6:9], strict=True)),
         ]
-        blocks = {
-            "body": [a + dt * b for a, b in zip(body, k2, strict=True)],
-            "thrust": after,
-            "memory": [a + dt * b for a, b in zip(memory, m2, strict=True)],
-            "predicted": predicted,
+        outputs = {
+            "body_out": [a + dt * b for a, b in zip(body, k2, strict=True)],
+            "thrust_out": after,
+            "memory_out": [a + dt * b for a, b in zip(memory, m2, strict=True)],
+            "predicted_out": predicted,
         }
-        outputs = [casadi.vertcat(*map(casadi.SX, b)) if b else casadi.SX(0, 1) for b in blocks.values()]
-        return lane_program(casadi.Function("step", columns, outputs, names, [f"{n}_out" for n in blocks]))
+        return _function("step", columns, outputs)
+
+
+def _function(
+    name: str, columns: Mapping[str, casadi.SX], outputs: Mapping[str, Sequence[Scalar]]
+) -> casadi.Function:
+    """Return the function of these symbols to dense columns."""
+    results = [
+        casadi.densify(casadi.vertcat(*map(casadi.SX, column))) if column else casadi.SX(0, 1)
+        for column in outputs.values()
+    ]
+    return casadi.Function(name, list(columns.values()), results, list(columns), list(outputs), {"cse": True})
 
 
 def _specific_force(parts: list[Part], body: list, slope: list) -> Sequence[Scalar]:

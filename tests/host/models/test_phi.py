@@ -10,6 +10,7 @@ import pytest
 
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.codegen.batch import Batch
 from trimtab.host.effects import load_effects
 from trimtab.host.models.drive import (
     DRIVE_ROWS,
@@ -192,7 +193,7 @@ def test_phi_feedback_delay_of_nothing_is_the_plain_loop_and_acts_to_first_order
 def test_phi_lanes_equal_casadi_and_floats(vehicle, make_reference):
     phi = observing(vehicle, 4.0, effects=tuple(EFFECTS.values()))
     rng = np.random.default_rng(5)
-    bound = phi.program.bind(3)
+    bound = Batch(phi.function, 3)
     start = flat_outputs(make_reference(), np.full(3, 1.7))
     bound.inputs["x"][:] = 0.05 * rng.standard_normal((phi.size, 3))
     bound.inputs["x"][12:16] += 1.9
@@ -348,7 +349,7 @@ def test_phi_feedback_delay_equals_a_loop_fed_from_its_history(vehicle, make_ref
     """The delayed system itself, position and velocity out of a history, at 1 ms."""
     reference = make_reference(duration_s=4.0)
     fed = Phi(vehicle=vehicle, drive="estimate")
-    bound = fed.program.bind(1)
+    bound = Batch(fed.function, 1)
     bound.inputs["flight"][:, 0] = flight_constants()
     x = fed.hover(reference.nodes_ned()[0].state[:3], 0.0)
     steps = 4000

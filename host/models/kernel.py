@@ -1,0 +1,130 @@
+"""Roll-outs of phi as C over SIMD lanes: RK4 around phi and a network whose weights are data.
+
+phi and the network's inputs and outputs are emitted from their SX graphs; the rest is `rollout.c`. Learning
+adds the adjoint to the same C.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import logging
+from collections.abc import Callable
+from functools import lru_cache
+from itertools import pairwise
+from pathlib import Path
+from typing import Annotated
+
+import casadi as ca
+import numpy as np
+
+from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
+from trimtab.host.codegen.ops import CASADI
+from trimtab.host.codegen.simd import (
+    LANES,
+    LAYERS,
+    RK4,
+    aligned,
+    lane_source,
+    pointer,
+    simd_library,
+)
+from trimtab.host.models.drive import DRIVE_ROWS
+from trimtab.host.models.network import Layout
+from trimtab.host.models.phi import Phi
+
+_log = logging.getLogger(__name__)
+
+_SOURCE = Path(__file__).parent / "rollout.c"
+
+
+def source(phi: Phi, layout: Layout | None) -> str:
+    """Return the C of roll-outs, which follows `trimtab.host.codegen.simd.PRELUDE`."""
+    functions = {"phi": phi.function}
+    sizes = {"SIZE": phi.size, "ROWS": DRIVE_ROWS[phi.drive], "NETWORK": int(layout is not None)}
+    forward: list[str] = []
+    if layout is not None:
+        functions |= _network_ends(layout)
+        sizes |= {"SEEN": layout.sizes[0], "UNITS": sum(layout.hidden)}
+        unit = weight = 0
+        for inputs, outputs in pairwise(layout.sizes):
+            out = unit + inputs
+            forward.append(f"layer(xi + {weight}, s->u + {unit}, s->u + {out}, {inputs}, {outputs});")
+            forward.append(f"for (int i = {out}; i < {out + outputs}; ++i) s->u[i] = vtanh(s->u[i]);")
+            unit, weight = out, weight + outputs * (inputs + 1)
+        forward.pop()  # the last layer is linear
+    defines = [f"#define {name} {value}" for name, value in sizes.items()]
+    defines.append(f"#define FORWARD {' '.join(forward)}")
+    emitted = [lane_source(function, name) for name, function in functions.items()]
+    return "\n".join([RK4, LAYERS, *emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
+
+
+def _network_ends(layout: Layout) -> dict[str, ca.Function]:
+    """Return the network's inputs and its acceleration as functions of v_ned and Theta."""
+    state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
+    seen = ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state)))
+    given = ca.vertcat(*layout.acceleration(CASADI, ca.vertsplit(state), ca.vertsplit(out)))
+    return {
+        "seen": ca.Function("seen", [state], [ca.densify(seen)]),
+        "given": ca.Function("given", [state, out], [ca.densify(given)]),
+    }
+
+
+class RolloutKernel:
+    """The function `roll_out` of a library with `rollout.c`."""
+
+    def __init__(self, library: ctypes.CDLL) -> None:
+        library.roll_out.restype, library.stage_bytes.restype = None, ctypes.c_long
+        self._roll_out: Callable[..., None] = library.roll_out
+        self.stage_bytes = int(library.stage_bytes())
+
+    def __call__(  # noqa: PLR0913 (the data of one problem)
+        self,
+        xi: Annotated[np.ndarray, "weights"] | None,
+        x0: Annotated[np.ndarray, "size lanes"],
+        drive: Annotated[np.ndarray, "stages rows flights"],
+        flight_of: Annotated[np.ndarray, "lanes"] | None,
+        flight: Annotated[np.ndarray, "15 lanes"],
+        theta: Annotated[np.ndarray, "parameters lanes"],
+        push: Annotated[np.ndarray, "stages 3 lanes"] | None,
+        *,
+        step_s: float,
+        every: int,
+        stages: np.ndarray | None,
+        samples: Annotated[np.ndarray, "samples rows lanes"],
+    ) -> None:
+        """Roll out one group of LANES lanes into `samples`, which may be a part of a larger array.
+
+        drive: of as many flights as lanes, or of those that `flight_of` names. stages: room for 4 stages of
+        each step, which are stored; None to store nothing.
+        """
+        store = stages is not None
+        room = aligned((self.stage_bytes // 2,)) if stages is None else stages
+        self._roll_out(
+            pointer(xi), pointer(x0), pointer(drive), ctypes.c_long(drive.shape[2]), pointer(flight_of),
+            pointer(flight), pointer(theta), pointer(push), ctypes.c_long(len(drive) // 2),
+            ctypes.c_double(step_s), ctypes.c_long(every), ctypes.c_int(store), pointer(room),
+            ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * LANES)),
+            pointer(samples),
+        )  # fmt: skip
+
+
+def rollout_kernel(phi: Phi, layout: Layout | None) -> RolloutKernel | None:
+    """Return the roll-outs of phi with a network of this layout; None for CasADi's virtual machine.
+
+    Raises CodegenError where TRIMTAB_ENGINE requests C and that is not possible.
+    """
+    compiler = wanted_compiler()
+    if compiler is None:
+        return None
+    try:
+        return _compiled(phi, layout, compiler)
+    except (CodegenError, OSError) as error:
+        if engine_choice() == "c":
+            raise
+        _log.warning("%s; going on without it, slower", error)
+        return None
+
+
+@lru_cache(maxsize=16)
+def _compiled(phi: Phi, layout: Layout | None, compiler: Compiler) -> RolloutKernel:
+    return RolloutKernel(ctypes.CDLL(simd_library(source(phi, layout), compiler)))
