@@ -11,6 +11,8 @@ from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor
 from typing import TypeVar
 
+from trimtab.host.base.errors import UsageError
+
 Item = TypeVar("Item")
 Result = TypeVar("Result")
 
@@ -19,6 +21,12 @@ def cores() -> int:
     """Return the number of cores that this process may use."""
     affinity = getattr(os, "sched_getaffinity", None)
     return (os.cpu_count() or 1) if affinity is None else len(affinity(0))
+
+
+def check_jobs(jobs: int | None) -> None:
+    """Raise UsageError for a value of --jobs that is not None and not at least 1."""
+    if jobs is not None and jobs < 1:
+        raise UsageError(f"--jobs {jobs}: give 1 or more")
 
 
 def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int) -> list[Result]:

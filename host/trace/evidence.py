@@ -8,9 +8,9 @@ The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
 - dl: change of the nuisances of the flight;
 - w: process disturbance, six components (force and torque) in each bin of 0.1 s.
 
-Segments are reduced flight by flight: of the Gram matrix of [r | S | L | Z], the part without w is summed over
-a flight, and the part of w is kept for each segment. So the evidence of any set of effects costs one small
-solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
+Segments are reduced flight by flight: of the Gram matrix of [r | S | L | Z], the part without w is summed
+over a flight, and the part of w is kept for each segment. So the evidence of any set of effects costs one
+small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
 its tolerance and discrepancy combined. A parameter of a selected effect has a standard deviation of
 RULES.slab_sigma typical sizes.
 """
@@ -278,7 +278,11 @@ def _evidence_and_slope(
     best = covariance @ rhs
     nuisances = np.einsum("kij,kj->ki", own_inverse, own_rhs) - to_own @ best
     square -= rhs @ best + np.einsum("ki,kij,kj->", own_rhs, own_inverse, own_rhs)
-    log_dets = sum(flight_sums.log_det for flight_sums in sums) + np.linalg.slogdet(normal)[1] - np.log(precision).sum()
+    log_dets = (
+        sum(flight_sums.log_det for flight_sums in sums)
+        + np.linalg.slogdet(normal)[1]
+        - np.log(precision).sum()
+    )
     log_dets += np.linalg.slogdet(own)[1].sum() - count * np.log(nuisance_precision).sum()
 
     slope = np.zeros(3)
@@ -288,7 +292,9 @@ def _evidence_and_slope(
         spread = np.zeros((m + width, m + width))
         spread[1:m, 1:m], spread[1:m, m:], spread[m:, 1:m] = covariance, cross, cross.T
         spread[m:, m:] = own_inverse[flight] - to_own[flight] @ cross
-        slope += 0.5 * (np.einsum("cij,ij->c", flight_sums.gains, np.outer(mean, mean) + spread) + flight_sums.spread)
+        slope += 0.5 * (
+            np.einsum("cij,ij->c", flight_sums.gains, np.outer(mean, mean) + spread) + flight_sums.spread
+        )
     return -0.5 * float(square + log_dets), slope
 
 

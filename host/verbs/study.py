@@ -67,11 +67,10 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
         radio link, interrupted uploads, fuzzing), paper-learning, paper-planning, paper-controllers,
         paper-flight (sections of the paper).
     """
-    import os
-
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
+    from trimtab.host.base.parallel import check_jobs, cores
     from trimtab.host.base.progress import Progress
     from trimtab.host.studies import find_study, options_of
     from trimtab.host.workspace import open_workspace
@@ -79,8 +78,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     study = find_study(name)
     if options.seed < 0:
         raise UsageError(f"--seed {options.seed} is negative; give 0 or more")
-    if options.jobs is not None and options.jobs < 1:
-        raise UsageError(f"--jobs {options.jobs}: give 1 or more")
+    check_jobs(options.jobs)
     study_options = options_of(
         study,
         {
@@ -102,7 +100,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             folder=folder,
             seed=options.seed,
             vehicle=str(file.absolute()) if file.is_file() else options.vehicle,
-            jobs=options.jobs or len(os.sched_getaffinity(0)),
+            jobs=options.jobs or cores(),
             on_progress=lambda done, total, detail: progress.update(done, total=total, detail=detail),
             **study_options,
         )

@@ -14,7 +14,7 @@ from typing import Annotated, TypeVar
 import numpy as np
 from scipy.sparse import csr_array
 
-from trimtab.host.base.parallel import each
+from trimtab.host.base import parallel
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
@@ -116,7 +116,7 @@ class ClosedLoop:
 
     def each(self, work: Callable[[int], Result]) -> list[Result]:
         """Return `work` of the index of every flight."""
-        return each(work, range(len(self.recordings)), self.jobs)
+        return parallel.each(work, range(len(self.recordings)), self.jobs)
 
     def predicted(
         self, index: int, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
@@ -286,13 +286,13 @@ def closed_loop(
 ) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Raises TooLittleData if a log lacks a
-    required topic.
+    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Raises
+    TooLittleData if a log lacks a required topic.
     """
     values = space.by_owner(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     states = flight_states([data.flight for data in flights], latency_s=latency_s)
-    recordings = [record(*pair) for pair in zip(flights, states, strict=True)]
+    recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
     return ClosedLoop(recordings, vehicle, space, jobs=jobs)
 
 

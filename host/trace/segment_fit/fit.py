@@ -154,7 +154,7 @@ def refit(
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
         nuisances = np.zeros((int(data.flight.max()) + 1, NUISANCES))
         data = data.with_w(linearise.disturbance_from_measured_rotation(segment_model, data))
-        basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
+        basis = linearise.basis(data, theta_scaled, nuisances)
     else:
         theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
@@ -165,7 +165,8 @@ def refit(
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
-            lin, data = _linearised(segment_model, data, theta_scaled, nuisances, basis)
+            lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
+            data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.marginal_grams(lin, process, prior)
         step, covariance = evidence.bounded_step(white.gram, theta_scaled, precision, space.bounds)
@@ -181,7 +182,7 @@ def refit(
         theta_scaled = theta_scaled + step
         if start is None and iteration < 2:
             data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
-            basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
+            basis = linearise.basis(data, theta_scaled, nuisances)
         iteration += 1
     return SegmentFit(
         effects=tuple(sorted(effects)),
@@ -196,15 +197,6 @@ def refit(
         data=data,
         basis=basis,
     )
-
-
-def _linearised(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray, basis: Basis
-) -> tuple[Linearisation, Segments]:
-    """Return the linearisation at a point, and the segments with the initial states fitted there."""
-    grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
-    data = data.with_x0(grams.x0)
-    return linearise.project(grams, data, theta_scaled, nuisances), data
 
 
 def at_parameters(
@@ -234,9 +226,8 @@ def at_parameters(
     """
     prior, data, nuisances, process = segment_model.space.prior, start.data, start.nuisances, start.process
     for last in (False, True):
-        grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
-        data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, theta_scaled, nuisances)
+        lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
+        data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         nuisance_step = evidence.nuisance_step(
             lin, evidence.marginal_grams(lin, process, prior), prior, np.zeros(len(theta_scaled))

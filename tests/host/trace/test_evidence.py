@@ -37,9 +37,7 @@ def _linearisation(
     gram: np.ndarray, flight: np.ndarray, theta_scaled: np.ndarray, nuisances: np.ndarray
 ) -> Linearisation:
     """Reduce Grams (S, n, n) of [r | S | L | Z], one flight after the other."""
-    parts = [
-        reduced(gram[flight == each], 1 + P + K, flight[flight == each]) for each in np.unique(flight)
-    ]
+    parts = [reduced(gram[flight == each], 1 + P + K, flight[flight == each]) for each in np.unique(flight)]
     return Linearisation.of(
         parts,
         piece=flight,
@@ -169,9 +167,7 @@ def test_fit_process_recovers_the_true_variances() -> None:
     r = rng.normal(size=(count, ROWS)) + np.einsum("snz,sz->sn", Z, w)
     S, L = np.zeros((count, ROWS, P)), np.zeros((count, ROWS, K))
     A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
-    lin = _linearisation(
-        np.swapaxes(A, 1, 2) @ A, np.zeros(count, dtype=int), np.zeros(P), np.zeros((1, K))
-    )
+    lin = _linearisation(np.swapaxes(A, 1, 2) @ A, np.zeros(count, dtype=int), np.zeros(P), np.zeros((1, K)))
     start = DisturbanceVariances(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
     process = evidence.fit_process(lin, PRIOR, (), start)
     assert process.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)

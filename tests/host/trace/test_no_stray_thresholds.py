@@ -106,7 +106,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "SEGMENTS_SETTLED": "step at which the Gauss-Newton iteration ends",
     },
     "segment_fit/linearise.py": {
-        "_LANES": "number of roll-outs in one call",
+        "_PART": "number of segments that are rolled out in one call",
         "_X_STEP": "step of the difference quotients",
         "TURN_STEPS": "steps of the difference quotient for a body rate",
         "_NUISANCE_STEP": "step of the difference quotients",
