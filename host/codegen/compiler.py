@@ -16,6 +16,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+import threading
 from dataclasses import dataclass
 from functools import cache
 from pathlib import Path
@@ -26,6 +27,9 @@ FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
 ENGINES = ("auto", "vm", "c")
 ENGINE_VARIABLE = "TRIMTAB_ENGINE"
 _SECONDS = 300
+
+_COMPILING = threading.Lock()
+"""Held while a library is compiled, so that threads that need the same one do not all compile it."""
 
 
 class CodegenError(TrimtabError):
@@ -93,9 +97,10 @@ def shared_library(
     their version. Raises CodegenError where the compiler fails.
     """
     path = library_path(source, compiler, native=native)
-    if not path.exists():
-        headers = () if include is None else (f"-I{include}",)
-        _compile(source, compiler, path, (*flags(native=native), *headers))
+    with _COMPILING:
+        if not path.exists():
+            headers = () if include is None else (f"-I{include}",)
+            _compile(source, compiler, path, (*flags(native=native), *headers))
     return path
 
 

@@ -213,7 +213,7 @@ def predict_segments(
         rate_weight=data.rate_weight * in_lead,
         force_weight=data.force_weight * in_lead,
     )
-    basis = linearise.basis(lead_data, theta_scaled, nuisances)
+    basis = linearise.basis(segment_model, lead_data, theta_scaled, nuisances)
     x0 = linearise.fitted_x0(segment_model, lead_data, theta_scaled, nuisances, basis, iterations=4)
     rolled = rollout.roll_out(
         segment_model, data, x0.T[:, None, :], theta_scaled[:, None], nuisances[data.flight].T[:, None, :]
@@ -256,7 +256,7 @@ def _fitted_nuisances(
     if not len(data.flight):
         return nuisances
     process = starting_process(data)
-    basis = linearise.basis(data, theta_scaled, nuisances)
+    basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     for _ in range(3):
         lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
         data = data.with_x0(x0)

@@ -187,12 +187,12 @@ def _line_search(
     """
     points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
 
-    def along(index: int) -> tuple[np.ndarray, np.ndarray]:
+    def along(index: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return the residuals of a flight at the candidates, and their squares once whitened."""
-        r = np.concatenate([base[index][None], loop.residual(index, points)])
+        r = np.concatenate([base[index][None], r])
         return r, (whitened(white, r, loop.recordings[index].known) ** 2).sum(1)
 
-    rolled, squares = zip(*loop.each(along), strict=True)
+    rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
     points = np.column_stack([theta_scaled, points])
     cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
@@ -282,13 +282,12 @@ class FlightFitter:
         base = [r[0] for r in self.loop.residuals(fit.theta_scaled[:, None])]
         slopes = self.loop.slopes(fit.theta_scaled, fit.effects, base)
 
-        def gram_of(index: int) -> np.ndarray:
-            change = base[index] - self.loop.residual(index, points)
-            columns = np.concatenate([base[index][None], slopes[index], change])
+        def gram_of(index: int, r: np.ndarray) -> np.ndarray:
+            columns = np.concatenate([base[index][None], slopes[index], base[index] - r])
             white = whitened(fit.whitening, columns, self.loop.recordings[index].known)
             return white @ white.T
 
-        gram = np.sum(self.loop.each(gram_of), axis=0)
+        gram = np.sum(self.loop.with_residuals(points, gram_of), axis=0)
         others = [i for i in range(len(fit.theta_scaled)) if i not in columns]
         precision = self.prior.precision(fit.effects)[others]
         rhs = gram[0, 1:][others] - precision * fit.theta_scaled[others]

@@ -12,7 +12,6 @@ from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
 import numpy as np
-from scipy.sparse import csr_array
 
 from trimtab.host.base import parallel
 from trimtab.host.codegen.ops import NUMPY
@@ -29,6 +28,9 @@ from trimtab.host.vehicle import Vehicle
 STABLE = 2.5
 """Greatest |eigenvalue| times step for which RK4 is stable. Modes this fast need not be accurate here."""
 
+_TOGETHER = 8
+"""Most flights that are rolled out together: they fill the SIMD lanes even with one parameter vector."""
+
 Result = TypeVar("Result")
 
 _THETA_STEP = 1e-4
@@ -36,17 +38,35 @@ _THETA_STEP = 1e-4
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _Loop:
-    """The closed loop of one flight: inputs of `roll_out`.
+class _Batch:
+    """Flights with the same firmware parameters that are rolled out together.
 
-    fine: integration steps in SAMPLE_S.
+    flights: indices of recordings. fine: integration steps in SAMPLE_S. x0, drive, constants: inputs of
+    `roll_out`, one column for each flight.
     """
 
+    flights: tuple[int, ...]
     phi: Phi
     fine: int
-    x0: Annotated[np.ndarray, "states"]
-    drive: Annotated[np.ndarray, "stages 23"]
-    constants: Annotated[np.ndarray, "15"]
+    x0: Annotated[np.ndarray, "states flights"]
+    drive: Annotated[np.ndarray, "stages 23 flights"]
+    constants: Annotated[np.ndarray, "15 flights"]
+
+    @classmethod
+    def of(cls, phi: Phi, flights: Sequence[int], recordings: Sequence[Recording]) -> _Batch:
+        """Return the batch of the flights with these indices. All recordings are given."""
+        batch = [recordings[index] for index in flights]
+        fine = max(1, math.ceil(phi.stiffness * SAMPLE_S / STABLE))
+        steps = max(recording.bins for recording in batch) * PER_BIN * fine
+        stages = half_steps(0.0, steps, SAMPLE_S / fine)
+        return cls(
+            flights=tuple(flights),
+            phi=phi,
+            fine=fine,
+            x0=np.stack([recording.states.initial(phi) for recording in batch], axis=1),
+            drive=np.stack([_drive(recording.states, stages) for recording in batch], axis=2),
+            constants=np.stack([recording.states.constants for recording in batch], axis=1),
+        )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -89,25 +109,16 @@ class ClosedLoop:
         self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
         self._slopes: Slopes | None = None
         effects = tuple(space.effects[name] for name in space.parts)
-        phis: dict[tuple[tuple[str, float], ...], Phi] = {}
-        self._loops: list[_Loop] = []
-        for recording in recordings:
-            parameters = recording.states.parameters
-            key = tuple(sorted((parameters or {}).items()))
-            if key not in phis:
-                phis[key] = Phi(vehicle=vehicle, effects=effects, parameters=parameters)
-            phi = phis[key]
-            fine = max(1, math.ceil(phi.stiffness * SAMPLE_S / STABLE))
-            stages = half_steps(0.0, recording.bins * PER_BIN * fine, SAMPLE_S / fine)
-            self._loops.append(
-                _Loop(
-                    phi=phi,
-                    fine=fine,
-                    x0=recording.states.initial(phi),
-                    drive=_drive(recording.states, stages),
-                    constants=recording.states.constants,
-                )
-            )
+        settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
+        for index in sorted(range(len(recordings)), key=lambda index: recordings[index].bins):
+            parameters = recordings[index].states.parameters or {}
+            settings.setdefault(tuple(sorted(parameters.items())), []).append(index)
+        self._batches: list[_Batch] = []
+        for indices in settings.values():
+            phi = Phi(vehicle=vehicle, effects=effects, parameters=recordings[indices[0]].states.parameters)
+            size = min(max(1, math.ceil(len(indices) / jobs)), _TOGETHER)
+            batches = [indices[k : k + size] for k in range(0, len(indices), size)]
+            self._batches += [_Batch.of(phi, batch, recordings) for batch in batches]
 
     @property
     def known(self) -> list[np.ndarray]:
@@ -118,45 +129,67 @@ class ClosedLoop:
         """Return `work` of the index of every flight."""
         return parallel.each(work, range(len(self.recordings)), self.jobs)
 
-    def predicted(
-        self, index: int, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
-    ) -> Annotated[np.ndarray, "lanes bins 12"]:
-        """Return predicted bin means of one flight at theta_scaled.
+    def with_predictions(
+        self,
+        theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+        work: Callable[[int, np.ndarray], Result],
+    ) -> list[Result]:
+        """Return `work` of the index of each flight and its predicted bin means (lanes, bins, 12).
 
         The channels are those of `Recording.measured`.
         """
-        loop = self._loops[index]
+        lanes = theta_scaled.shape[1]
         theta = self.space.values(theta_scaled)[self._rows]
-        latency_s = np.broadcast_to(np.asarray(latency_of(NUMPY, loop.phi.parts(theta))), theta.shape[1:])
-        samples = roll_out(
-            loop.phi,
-            x0=np.repeat(loop.x0[:, None], theta.shape[1], axis=1),
-            drive=loop.drive,
-            flight=loop.constants,
-            theta=theta,
-            step_s=SAMPLE_S / loop.fine,
-            every=loop.fine,
-            rows=INTEGRAL.stop,
-            compiled=True,
-        )
-        return _means(self.recordings[index], samples, latency_s)
+        latency = np.asarray(latency_of(NUMPY, self._batches[0].phi.parts(theta)))
+        latency_s = np.broadcast_to(latency, (lanes,))
 
-    def residual(
-        self, index: int, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
-    ) -> Annotated[np.ndarray, "lanes bins 12"]:
-        """Return the residual of one flight, measured minus predicted.
+        def predict(batch: _Batch) -> list[tuple[int, Result]]:
+            count = len(batch.flights)
+            samples = roll_out(
+                batch.phi,
+                x0=np.repeat(batch.x0, lanes, axis=1),
+                drive=batch.drive,
+                flight=batch.constants,
+                theta=np.tile(theta, (1, count)),
+                step_s=SAMPLE_S / batch.fine,
+                every=batch.fine,
+                lane_flight=np.repeat(np.arange(count), lanes),
+                rows=INTEGRAL.stop,
+                compiled=True,
+            )
+            results = []
+            for k, index in enumerate(batch.flights):
+                recording = self.recordings[index]
+                of_flight = samples[: recording.bins * PER_BIN + 1, :, k * lanes : (k + 1) * lanes]
+                results.append((index, work(index, _means(recording, of_flight, latency_s))))
+            return results
 
-        Position is resolved along the heading, attitude in FRD. The body-rate residual has its mean over the
-        flight removed.
+        batches = parallel.each(predict, self._batches, self.jobs)
+        results = dict(result for batch in batches for result in batch)
+        return [results[index] for index in range(len(self.recordings))]
+
+    def with_residuals(
+        self,
+        theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+        work: Callable[[int, np.ndarray], Result],
+    ) -> list[Result]:
+        """Return `work` of the index of each flight and its residual (lanes, bins, 12).
+
+        The residual is measured minus predicted. Position is resolved along the heading, attitude in FRD. The
+        body-rate residual has its mean over the flight removed.
         """
-        recording = self.recordings[index]
-        r = recording.measured - self.predicted(index, theta_scaled)
-        r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
-        return _in_body(recording, r)
+
+        def compare(index: int, predicted: np.ndarray) -> Result:
+            recording = self.recordings[index]
+            r = recording.measured - predicted
+            r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
+            return work(index, _in_body(recording, r))
+
+        return self.with_predictions(theta_scaled, compare)
 
     def residuals(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
-        """Return the `residual` (lanes, bins, 12) of each flight."""
-        return self.each(lambda index: self.residual(index, theta_scaled))
+        """Return the residual (lanes, bins, 12) of each flight."""
+        return self.with_residuals(theta_scaled, lambda _, r: r)
 
     def slopes(
         self,
@@ -192,12 +225,14 @@ class ClosedLoop:
         for lane, row in enumerate(rows):
             lanes[row, lane] += _THETA_STEP
 
-        def perturbed(index: int) -> tuple[np.ndarray, np.ndarray]:
+        def slopes_of(index: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
             """Return the slopes of a flight, and the squares of its perturbed residuals."""
-            r = self.residual(index, lanes) if rows else np.empty((0, *base[index].shape))
             return ((base[index] - r) / _THETA_STEP).astype(np.float32), np.square(r).sum((1, 2))
 
-        slopes, squares = zip(*self.each(perturbed), strict=True)
+        if rows:
+            slopes, squares = zip(*self.with_residuals(lanes, slopes_of), strict=True)
+        else:
+            slopes, squares = [np.empty((0, *r.shape)) for r in base], np.zeros((1, 0))
         sizes = np.zeros(1 + len(theta_scaled))
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
         sizes[[1 + row for row in rows]] = np.sum(squares, axis=0)
@@ -235,7 +270,7 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
     for late in np.unique(latency_s):
         mine = latency_s == late
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
-        mean = _pose_means(recording, float(late), len(samples)) @ poses
+        mean = recording.poses @ (interpolation(recording.pose_s - late, len(samples)) @ poses)
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
     for channels, columns, telemetry in (
         (slice(6, 9), slice(9, 12), recording.rates),
@@ -244,17 +279,6 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
         mean = telemetry @ samples[:, columns].reshape(len(samples), -1)
         out[:, :, channels] = mean.reshape(bins, 3, lanes).transpose(2, 0, 1)
     return out
-
-
-def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
-    """Return the matrix (bins, count) that maps `count` samples to the mean over the poses of each bin.
-
-    Samples are SAMPLE_S apart. Each pose shows the state `latency_s` before its stamp.
-    """
-    poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
-    each = (1.0 / poses[recording.pose_bin], (recording.pose_bin, np.arange(len(recording.pose_bin))))
-    mean = csr_array(each, shape=(recording.bins, len(recording.pose_bin)))
-    return mean @ interpolation(recording.pose_s - latency_s, count)
 
 
 def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:

@@ -113,7 +113,7 @@ def information(
     part = _kept_on_path(segment_model, part, theta_scaled)
     # Each rolled-out segment is a flight of its own here, so that its Gram can stand for its neighbours'.
     part = replace(part, flight=np.arange(len(rolled)), paths=np.repeat(part.paths, len(rolled), axis=0))
-    basis = linearise.basis(part, theta_scaled, nuisances)
+    basis = linearise.basis(segment_model, part, theta_scaled, nuisances)
     lin, _ = linearise.linearise(segment_model, part, theta_scaled, nuisances, basis)
     lin = replace(
         lin,

@@ -154,7 +154,7 @@ def refit(
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
         nuisances = np.zeros((int(data.flight.max()) + 1, NUISANCES))
         data = data.with_w(linearise.disturbance_from_measured_rotation(segment_model, data))
-        basis = linearise.basis(data, theta_scaled, nuisances)
+        basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     else:
         theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
@@ -182,7 +182,7 @@ def refit(
         theta_scaled = theta_scaled + step
         if start is None and iteration < 2:
             data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
-            basis = linearise.basis(data, theta_scaled, nuisances)
+            basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
         iteration += 1
     return SegmentFit(
         effects=tuple(sorted(effects)),

@@ -49,13 +49,14 @@ class Basis:
     them out again for a few segments at a time takes little time.
 
     theta_scaled, nuisances: scaled parameters, and nuisances of each flight. x0, disturbance_frd: initial
-    states and disturbance of the segments.
+    states and disturbance of the segments. memory: of `remembered` there.
     """
 
     theta_scaled: Annotated[np.ndarray, "parameters"]
     nuisances: Annotated[np.ndarray, "flights 9"]
     x0: Annotated[np.ndarray, "segments 12"]
     disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
+    memory: Annotated[np.ndarray, "memory 1 segments"]
 
     def columns(
         self,
@@ -70,7 +71,7 @@ class Basis:
         segments with the indices `segments`.
         """
         part = part.with_x0(self.x0[segments]).with_w(self.disturbance_frd[segments])
-        memory = remembered(segment_model, part, self.theta_scaled[:, None])
+        memory = self.memory[:, :, segments]
         count = 1 + STATES + NUISANCES + 6 * part.bins
         lanes = _Lanes(part, part.x0, self.theta_scaled, self.nuisances[flight], memory, count)
         lanes.steps[1:] = np.concatenate([_X_STEP, _NUISANCE_STEP, np.tile(_BIN_STEP, part.bins)])
@@ -123,13 +124,18 @@ class _Lanes:
 
 
 def basis(
+    segment_model: SegmentModel,
     data: Segments,
     theta_scaled: Annotated[np.ndarray, "parameters"],
     nuisances: Annotated[np.ndarray, "flights 9"],
 ) -> Basis:
     """Return the basis at scaled parameters, nuisances and the initial states and disturbance of `data`."""
     return Basis(
-        theta_scaled=theta_scaled, nuisances=nuisances, x0=data.x0, disturbance_frd=data.disturbance_frd
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+        x0=data.x0,
+        disturbance_frd=data.disturbance_frd,
+        memory=remembered(segment_model, data, theta_scaled[:, None]),
     )
 
 
@@ -226,14 +232,15 @@ def fitted_x0(
         Number of Gauss-Newton steps.
     """
     x0 = data.x0.copy()
+    memory = remembered(segment_model, data, theta_scaled[:, None])
 
     def fit(part: Segments, segments: np.ndarray, flight: int) -> None:
         states = basis.columns(segment_model, part, segments, flight)[:, :STATES]
-        memory = remembered(segment_model, part, theta_scaled[:, None])
         for _ in range(iterations):
-            part = part.with_x0(
-                _stepped_x0(segment_model, part, theta_scaled, nuisances[flight], states, memory)
+            x = _stepped_x0(
+                segment_model, part, theta_scaled, nuisances[flight], states, memory[:, :, segments]
             )
+            part = part.with_x0(x)
         x0[segments] = part.x0
 
     _each_part(segment_model, data, fit)
@@ -274,15 +281,16 @@ def linearise(
     points = np.repeat(theta_scaled[:, None], count, axis=1)
     points[:, 1:] += _THETA_STEP * np.eye(len(theta_scaled))
     piece, piece_flight = _pieces(data.flight, len(nuisances))
+    memory = remembered(segment_model, data, points)
     x0 = data.x0.copy()
 
     def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[Reduced, np.ndarray]:
         columns = basis.columns(segment_model, part, segments, flight)
-        memory = remembered(segment_model, part, points)
+        states, starts = columns[:, :STATES], memory[:, :, segments]
         x0[segments] = _stepped_x0(
-            segment_model, part, theta_scaled, nuisances[flight], columns[:, :STATES], memory[:, :1]
+            segment_model, part, theta_scaled, nuisances[flight], states, starts[:, :1]
         )
-        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], memory, count)
+        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, count)
         lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
         A = lanes.jacobian(segment_model, part, bins=False)

@@ -33,8 +33,8 @@ from trimtab.host.trace.residual.unexplained import (
 )
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.search import Names, SearchResult, null_probability_of
-from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.fit import SegmentFit
+from trimtab.host.trace.segment_fit.linearise import Basis
 from trimtab.host.trace.segment_fit.model import NUISANCES, STATES
 from trimtab.host.trace.selection import Diagnosis, Method
 from trimtab.host.vehicle import Vehicle, load_vehicle
@@ -196,7 +196,13 @@ def build_fit(
             nuisances=np.zeros((1, NUISANCES)),
         ),
         data=data,
-        basis=linearise.basis(data, np.array(theta_scaled, dtype=float), np.zeros((1, NUISANCES))),
+        basis=Basis(
+            theta_scaled=np.array(theta_scaled, dtype=float),
+            nuisances=np.zeros((1, NUISANCES)),
+            x0=data.x0,
+            disturbance_frd=data.disturbance_frd,
+            memory=np.zeros((0, 1, 1)),
+        ),
     )
 
 

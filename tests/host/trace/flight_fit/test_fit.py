@@ -64,9 +64,10 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 def simulated(loop: ClosedLoop, theta_scaled: np.ndarray, seed: int) -> ClosedLoop:
     """Return a loop whose recordings are predictions of phi plus coloured noise."""
     rng = np.random.default_rng(seed)
+    predictions = loop.with_predictions(theta_scaled[:, None], lambda _, predicted: predicted[0])
     recordings = [
-        replace(recording, measured=predicted[0] + coloured(rng, recording.bins))
-        for recording, predicted in zip(loop.recordings, loop.predicted(theta_scaled[:, None]), strict=True)
+        replace(recording, measured=predicted + coloured(rng, recording.bins))
+        for recording, predicted in zip(loop.recordings, predictions, strict=True)
     ]
     return ClosedLoop(recordings, loop.recordings[0].states.vehicle, loop.space)
 

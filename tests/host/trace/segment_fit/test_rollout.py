@@ -95,7 +95,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     nuisances = np.zeros((1, model.NUISANCES))
-    columns = linearise.basis(data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
+    columns = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
@@ -138,7 +138,7 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
         rate_frd=predicted_poses[..., 6:9],
         force_frd=predicted_poses[..., 9:],
     )
-    basis = linearise.basis(measured, theta_scaled, nuisances)
+    basis = linearise.basis(FORM, measured, theta_scaled, nuisances)
     x0 = linearise.fitted_x0(FORM, measured, theta_scaled, nuisances, basis, iterations=5)
     np.testing.assert_allclose(x0, truth, atol=1e-6)
 
