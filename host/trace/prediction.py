@@ -23,12 +23,11 @@ from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
-from trimtab.host.models.states import flight_states
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of
 from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.data.signals import FlightData, pose_interval_s
+from trimtab.host.trace.data.signals import FlightData, pose_interval_s, states_of
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
@@ -135,7 +134,7 @@ def _predict(phi: Phi, data: Sequence[FlightData], parts: Sequence[Part]) -> lis
     """Return the errors of flights that all have the firmware parameters of phi."""
     flights = [each.flight for each in data]
     latency = float(latency_of(NUMPY, parts))
-    starts = flight_states(flights, latency_s=latency)
+    starts = states_of(data, latency)
     duration = [states.reference.nodes[-1].t_us * 1e-6 for states in starts]
     steps = round(max(duration) / _ROLL_OUT_STEP_S)
     fine = phi.substeps(_ROLL_OUT_STEP_S)

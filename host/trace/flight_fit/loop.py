@@ -18,8 +18,8 @@ from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
-from trimtab.host.models.states import States, flight_states
-from trimtab.host.trace.data.signals import FlightData, Signals
+from trimtab.host.models.states import States
+from trimtab.host.trace.data.signals import FlightData, Signals, states_of
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
@@ -315,7 +315,7 @@ def closed_loop(
     """
     values = space.by_owner(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
-    states = flight_states([data.flight for data in flights], latency_s=latency_s)
+    states = states_of(flights, latency_s)
     recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
     return ClosedLoop(recordings, vehicle, space, jobs=jobs)
 

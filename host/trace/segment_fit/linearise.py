@@ -9,7 +9,7 @@ program of `trimtab.host.trace.segment_fit.model`.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -25,6 +25,9 @@ from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
 Result = TypeVar("Result")
+
+_STORED = 400
+"""Segments whose columns of the basis are stored, which take about 130 MB."""
 
 _PART = 32
 """Segments of a flight that are rolled out together."""
@@ -45,8 +48,8 @@ look like information."""
 class Basis:
     """Columns of the Jacobian that hardly depend on the parameters and are reused between refits.
 
-    Only the point at which they are taken is stored. Those of all flights would fill the memory, and rolling
-    them out again for a few segments at a time takes little time.
+    Those of the first flights are stored. Those of all of many flights would fill the memory, so the others
+    are rolled out again when they are needed, which gives the same bits.
 
     theta_scaled, nuisances: scaled parameters, and nuisances of each flight. x0, disturbance_frd: initial
     states and disturbance of the segments. memory: of `remembered` there.
@@ -57,6 +60,7 @@ class Basis:
     x0: Annotated[np.ndarray, "segments 12"]
     disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
     memory: Annotated[np.ndarray, "memory 1 segments"]
+    _stored: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
 
     def columns(
         self,
@@ -70,6 +74,18 @@ class Basis:
         They are 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin. part: the
         segments with the indices `segments`.
         """
+        key = int(segments[0])
+        columns = self._stored.get(key)
+        if columns is None:
+            columns = self._taken(segment_model, part, segments, flight)
+            if segments[-1] < _STORED:
+                self._stored[key] = columns
+        return columns
+
+    def _taken(
+        self, segment_model: SegmentModel, part: Segments, segments: np.ndarray, flight: int
+    ) -> np.ndarray:
+        """Return the columns of some segments, rolled out."""
         part = part.with_x0(self.x0[segments]).with_w(self.disturbance_frd[segments])
         memory = self.memory[:, :, segments]
         count = 1 + STATES + NUISANCES + 6 * part.bins
