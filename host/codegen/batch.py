@@ -16,7 +16,7 @@ import numpy as np
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.compiler import CodegenError, engine_choice, wanted_compiler
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.simd import LANES, aligned, lane_source, pointer, simd_library
+from trimtab.host.codegen.simd import aligned, lane_count, lane_source, pointer, simd_library
 
 _log = logging.getLogger(__name__)
 
@@ -98,10 +98,11 @@ class Batch:
         self._run()
 
     def _bind(self, function: ca.Function, library: ctypes.CDLL) -> None:
-        groups = -(-self.lanes // LANES)
+        width = lane_count(library)
+        groups = -(-self.lanes // width)
         names = [*function.name_in(), *function.name_out()]
         sizes = [*map(function.size1_in, function.name_in()), *map(function.size1_out, function.name_out())]
-        arrays = [aligned((size, groups * LANES)) for size in sizes]
+        arrays = [aligned((size, groups * width)) for size in sizes]
         addresses = [pointer(array) for array in arrays]
         self._run = lambda: library.run(ctypes.c_long(groups), *addresses)
         views = {name: array[:, : self.lanes] for name, array in zip(names, arrays, strict=True)}
@@ -116,7 +117,7 @@ def _library(function: ca.Function) -> ctypes.CDLL | None:
     if compiler is None:
         return None
     try:
-        library = ctypes.CDLL(simd_library(_source(function), compiler))
+        library = simd_library(_source(function), compiler)
     except (CodegenError, OSError) as error:
         if engine_choice() == "c":
             raise

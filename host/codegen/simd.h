@@ -1,9 +1,20 @@
-/* Vectors of LANES doubles: operations, and functions that work lane by lane. */
+/* Vectors of LANES doubles: operations, and functions that work lane by lane. A vector is one register of the
+   target: wider ones spill, narrower ones leave units idle. Results do not depend on the width. */
 
+#ifndef LANES
+#if defined(__AVX512F__)
+#define LANES 8
+#elif defined(__AVX__)
+#define LANES 4
+#else /* SSE2, NEON */
+#define LANES 2
+#endif
+#endif
 #include <math.h>
 #include <string.h>
 typedef double V __attribute__((vector_size(8 * LANES)));
 typedef long long M __attribute__((vector_size(8 * LANES)));
+int lane_count(void) { return LANES; }
 #define INLINE static inline __attribute__((always_inline))
 #define LANEWISE(name, call) \
     INLINE V name(V a) { V r; for (int i = 0; i < LANES; ++i) r[i] = call(a[i]); return r; }

@@ -16,14 +16,12 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler, shared_library
 
-LANES = 8
-"""Doubles in a vector: one register of AVX-512, two of AVX2, four of SSE2 or NEON."""
-
 _ALIGNED = 64
 
 _HERE = Path(__file__).parent
 
-PRELUDE = f"#define LANES {LANES}\n" + (_HERE / "simd.h").read_text(encoding="utf-8")
+PRELUDE = (_HERE / "simd.h").read_text(encoding="utf-8")
+"""C of vectors, whose width LANES it takes from the compiler's target."""
 
 RK4 = (_HERE / "rk4.h").read_text(encoding="utf-8")
 """C of a Runge-Kutta step, which follows PRELUDE."""
@@ -114,28 +112,33 @@ def _number(value: float) -> str:
     )
 
 
-def simd_library(source: str, compiler: Compiler) -> str:
-    """Return the path of the library for PRELUDE and `source`, for the instructions of this machine.
+def simd_library(source: str, compiler: Compiler) -> ctypes.CDLL:
+    """Return the library for PRELUDE and `source`, for the instructions of this machine.
 
     Raises CodegenError where the compiler fails.
     """
-    return str(shared_library(PRELUDE + source, compiler, native=True))
+    return ctypes.CDLL(str(shared_library(PRELUDE + source, compiler, native=True)))
 
 
-def lanes_of(rows: np.ndarray) -> Annotated[np.ndarray, "... lanes"]:
-    """Return rows (n, ...) as aligned (groups, ..., LANES); the first row fills the last group."""
-    groups = -(-len(rows) // LANES)
-    index = np.zeros(groups * LANES, dtype=int)
+def lane_count(library: ctypes.CDLL) -> int:
+    """Return the number of lanes of a library by `simd_library`: doubles in a register of its target."""
+    return int(library.lane_count())
+
+
+def lanes_of(rows: np.ndarray, lanes: int) -> Annotated[np.ndarray, "... lanes"]:
+    """Return rows (n, ...) as aligned (groups, ..., lanes); the first row fills the last group."""
+    groups = -(-len(rows) // lanes)
+    index = np.zeros(groups * lanes, dtype=int)
     index[: len(rows)] = np.arange(len(rows))
-    shape = (groups, *rows.shape[1:], LANES)
+    shape = (groups, *rows.shape[1:], lanes)
     out = aligned(shape)
-    out[:] = np.moveaxis(rows[index].reshape(groups, LANES, *rows.shape[1:]), 1, -1)
+    out[:] = np.moveaxis(rows[index].reshape(groups, lanes, *rows.shape[1:]), 1, -1)
     return out
 
 
 def rows_of(lanes: Annotated[np.ndarray, "... lanes"], count: int) -> np.ndarray:
-    """Return the first `count` rows (count, ...) of an array by `lanes_of`."""
-    rows = np.moveaxis(lanes, -1, 1)
+    """Return the first `count` rows (count, ...) of an array by `lanes_of`, contiguous."""
+    rows = np.ascontiguousarray(np.moveaxis(lanes, -1, 1))
     return rows.reshape(-1, *rows.shape[2:])[:count]
 
 

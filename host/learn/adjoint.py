@@ -1,28 +1,27 @@
 """Paper Algorithm 1 in CasADi: roll-out (eq. 7), adjoint (eq. 8), gradient (eq. 9) of a batch of segments.
 
 One RK4 step of the hybrid closed loop Phi(x, x_bar, xi) = phi(x, x_bar) + d(x, xi) is an MX function of all
-segments of the batch: the network by matrix products, the rigid body and the law by a mapped SX function. The
-adjoint of the step is written stage by stage; CasADi's reverse mode gives the vector-Jacobian products of phi
-and of the network. phi and its products are compiled where a compiler works.
+segments of the batch, and its adjoint is CasADi's reverse mode. It needs no compiler, and is independent of
+the adjoint in `kernel.c`.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import casadi
 import numpy as np
 
-from trimtab.host.codegen import compile_function
+from trimtab.host.codegen import held_interrupts
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.learn.kernel import MEASURED, vector_jacobian
-from trimtab.host.models.drive import DRIVE_ROWS, FLIGHT
+from trimtab.host.learn.kernel import MEASURED
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import roll_out
 from trimtab.host.models.segments import Segments
+from trimtab.host.models.step import step_function
 
 Pushed = Callable[
     [
@@ -58,7 +57,7 @@ class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight`: diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3). The loss of the
-    batch is the sum over its segments. `engine`: as of `trimtab.host.codegen`.
+    batch is the sum over its segments.
     """
 
     def __init__(
@@ -70,14 +69,15 @@ class Rollouts:
         batch: int,
         step_s: float,
         weight: Annotated[np.ndarray, "12"],
-        engine: str | None = None,
     ) -> None:
         check_step(phi, step_s)
         self.phi, self.layout, self.batch, self.step_s = phi, layout, batch, step_s
         self.weight = np.asarray(weight, dtype=float)
-        model = _Model(phi, layout, theta, batch=batch, step_s=step_s, engine=engine)
-        self._step = Buffered(model.step())
-        self._adjoint = Buffered(model.adjoint())
+        step = step_function(phi, layout, batch)
+        self._step, self._adjoint = Buffered(step), Buffered(_adjoint(step))
+        for function in (self._step, self._adjoint):
+            function.inputs["theta"][:] = np.asarray(theta)[:, None]
+            function.inputs["step_s"][:] = step_s
 
     def roll_out(
         self,
@@ -96,9 +96,9 @@ class Rollouts:
         self._load(step, segments, xi)
         for k in range(segments.steps):
             self._load_drive(step, segments, k)
-            step.inputs["x"][:] = states[k]
+            step.inputs["x"][:] = states[k].T
             step()
-            states[k + 1] = step.outputs["next"]
+            states[k + 1] = step.outputs["next"].T
         return states
 
     def gradient(
@@ -119,12 +119,12 @@ class Rollouts:
         for k in range(segments.steps, 0, -1):
             costate[:, :MEASURED] += scale * used * (states[k, :, :MEASURED] - measured[k])
             self._load_drive(adjoint, segments, k - 1)
-            adjoint.inputs["x"][:] = states[k - 1]
-            adjoint.inputs["costate"][:] = costate
+            adjoint.inputs["x"][:] = states[k - 1].T
+            adjoint.inputs["costate"][:] = costate.T
             adjoint()
-            costate[:] = adjoint.outputs["costate_before"]
-            total += adjoint.outputs["gradient"][0]
-            of_theta += adjoint.outputs["theta"][0, : len(of_theta)]
+            costate[:] = adjoint.outputs["of_x"].T
+            total += adjoint.outputs["of_xi"][0]
+            of_theta += adjoint.outputs["of_theta"].sum(1)
         states = states[:, : segments.count]
         return Gradient(
             loss=loss_of(segments, states, self.weight),
@@ -160,13 +160,13 @@ class Rollouts:
 
     def _load(self, function: Buffered, segments: Segments, xi: np.ndarray) -> None:
         function.inputs["xi"][0] = xi
-        function.inputs["flight"][:] = self._filled(segments.constants)
+        function.inputs["flight"][:] = self._filled(segments.constants).T
 
     def _load_drive(self, function: Buffered, segments: Segments, k: int) -> None:
-        for i, name in enumerate(("drive_start", "drive_middle", "drive_end")):
-            rows = function.inputs[name]
-            rows[: segments.count] = segments.drive[:, 2 * k + i]
-            rows[segments.count :] = segments.drive[0, 2 * k + i]
+        for half in range(3):
+            drive = function.inputs[f"drive{half}"]
+            drive[:, : segments.count] = segments.drive[:, 2 * k + half].T
+            drive[:, segments.count :] = segments.drive[0, 2 * k + half, :, None]
 
 
 def loss_of(
@@ -179,85 +179,18 @@ def loss_of(
     return float(np.einsum("ksi,i->", error**2, weight) / segments.steps)
 
 
-class _Model:
-    """phi with its network for `batch` segments as MX functions; effects at the values `theta`."""
-
-    def __init__(
-        self, phi: Phi, layout: Layout, theta: np.ndarray, *, batch: int, step_s: float, engine: str | None
-    ) -> None:
-        self.layout, self.step_s = layout, step_s
-        self._phi = compile_function(phi.function, engine=engine)[0].map(batch)
-        self._products = compile_function(vector_jacobian(phi.function), engine=engine)[0].map(batch)
-        self._theta = casadi.repmat(casadi.DM(theta), 1, batch)
-        drives = [
-            casadi.MX.sym(name, DRIVE_ROWS[phi.drive], batch)
-            for name in ("drive_start", "drive_middle", "drive_end")
-        ]
-        self.inputs = [
-            casadi.MX.sym("x", phi.size, batch),
-            *drives,
-            casadi.MX.sym("flight", len(FLIGHT), batch),
-            casadi.MX.sym("xi", layout.size),
-        ]
-        self.names = [symbol.name() for symbol in self.inputs]
-
-    def step(self) -> casadi.Function:
-        """Return (x, drives, flight, xi) -> x one step later, with a column for each segment."""
-        _, rates = self._stages()
-        return casadi.Function("step", self.inputs, [self._next(rates)], self.names, ["next"])
-
-    def adjoint(self) -> casadi.Function:
-        """Return (.., costate) -> costate' dPhi/dx and costate' dPhi/dxi: the four stages backwards."""
-        h = self.step_s
-        x, start, middle, end, flight, xi = self.inputs
-        drives = (start, middle, middle, end)
-        states, _ = self._stages()
-        costate = casadi.MX.sym("costate", x.shape[0], x.shape[1])
-        total, gradient, of_theta, later = costate, 0.0, 0.0, None
-        for stage, weight, reach in ((3, 1.0, 0.0), (2, 2.0, 1.0), (1, 2.0, 0.5), (0, 1.0, 0.5)):
-            of_rate = (h * weight / 6.0) * costate
-            if later is not None:  # the next stage started from this one's rate
-                of_rate = of_rate + h * reach * later
-            later, part, theta = self._pull_back(states[stage], drives[stage], flight, xi, of_rate)
-            total, gradient, of_theta = total + later, gradient + part, of_theta + theta
-        return casadi.Function(
-            "adjoint",
-            [*self.inputs, costate],
-            [total, gradient, of_theta],
-            [*self.names, "costate"],
-            ["costate_before", "gradient", "theta"],
-        )
-
-    def _stages(self) -> tuple[list[Any], list[Any]]:
-        """Return the states at which RK4 evaluates its four rates, and the rates."""
-        h = self.step_s
-        x, start, middle, end, flight, xi = self.inputs
-        states, rates = [x], [self._rate(x, start, flight, xi)]
-        for drive, reach in ((middle, 0.5), (middle, 0.5), (end, 1.0)):
-            states.append(x + h * reach * rates[-1])
-            rates.append(self._rate(states[-1], drive, flight, xi))
-        return states, rates
-
-    def _next(self, rates: list[Any]) -> Any:
-        k1, k2, k3, k4 = rates
-        return self.inputs[0] + self.step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
-
-    def _rate(self, x: Any, drive: Any, flight: Any, xi: Any) -> Any:
-        return self._phi(x, drive, flight, self._theta, self.layout.matrices(xi, x[3:9, :]))
-
-    def _pull_back(self, x: Any, drive: Any, flight: Any, xi: Any, of_rate: Any) -> tuple[Any, Any, Any]:
-        """Return of_rate' times d(rate)/dx, network included, d(rate)/dxi and d(rate)/dtheta."""
-        seen = casadi.MX.sym("seen", *x[3:9, :].shape)
-        weights = casadi.MX.sym("weights", self.layout.size)
-        push = casadi.MX.sym("push", 3, seen.shape[1])
-        product = casadi.dot(push, self.layout.matrices(weights, seen))
-        network = casadi.Function(
-            "network",
-            [weights, seen, push],
-            [casadi.gradient(product, seen), casadi.gradient(product, weights)],
-        )
-        residual = self.layout.matrices(xi, x[3:9, :])
-        of_x, of_residual, of_theta = self._products(x, drive, flight, self._theta, residual, of_rate)
-        of_seen, of_xi = network(xi, x[3:9, :], of_residual)
-        of_x = casadi.vertcat(of_x[:3, :], of_x[3:9, :] + of_seen, of_x[9:, :])
-        return of_x, of_xi, casadi.sum2(of_theta)
+@held_interrupts()
+def _adjoint(step: casadi.Function) -> casadi.Function:
+    """Return (the step's inputs, costate) -> costate' times its Jacobians by x, xi and each lane's theta."""
+    inputs = step.mx_in()
+    costate = casadi.MX.sym("costate", *step.size_out("next"))
+    product = casadi.dot(costate, step(*inputs))
+    of = dict(zip(step.name_in(), inputs, strict=True))
+    gradients = [casadi.gradient(product, of[name]) for name in ("x", "xi", "theta")]
+    return casadi.Function(
+        "adjoint",
+        [*inputs, costate],
+        gradients,
+        [*step.name_in(), "costate"],
+        ["of_x", "of_xi", "of_theta"],
+    )

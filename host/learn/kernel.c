@@ -1,12 +1,9 @@
-/* Paper Algorithm 1 over lanes. Behind simd.h and layers.h, the functions phi, products, seen, seen_back, given and given_back,
-   the sizes SIZE, ROWS, THETA, SEEN, UNITS, GIVEN, MEASURED and the layers' calls FORWARD, BACKWARD, GRADIENTS. */
+/* Gradient of paper Algorithm 1 over lanes. Behind rollout.c, which stores the stages, the functions products, seen_back
+   and given_back, the sizes THETA and MEASURED and the layers' calls BACKWARD, GRADIENTS. */
 
-typedef struct { V x[SIZE]; V u[SEEN + UNITS + GIVEN]; V back[UNITS + GIVEN]; } Stage;
-
-INLINE double across(V a) {
-    double s = 0.0;
-    for (int i = 0; i < LANES; ++i) s += a[i];
-    return s;
+/* Adds lane by lane, so a sum over all groups is in the order of the segments for any LANES. */
+INLINE void add_lanes(double *sum, V a) {
+    for (int i = 0; i < LANES; ++i) *sum += a[i];
 }
 
 /* gradient[j][i] += sum over stages and lanes of back[j] u[i]; the last column is the bias's. */
@@ -29,32 +26,21 @@ static void products_of(double *gradient, const Stage *stages, long count, int u
                 }
             }
             for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p)
-                gradient[(long)(j + q) * (inputs + 1) + i + p] += across(s[q][p]);
+                add_lanes(gradient + (long)(j + q) * (inputs + 1) + i + p, s[q][p]);
         }
         for (int q = 0; q < nj; ++q) {
             V s = splat(0.0);
             for (long k = 0; k < count; ++k) s += stages[k].back[b0 + j + q];
-            gradient[(long)(j + q) * (inputs + 1) + inputs] += across(s);
+            add_lanes(gradient + (long)(j + q) * (inputs + 1) + inputs, s);
         }
     }
 }
 
-INLINE void rate_of(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *push,
-                    V *rate) {
-    V d[GIVEN];
-    seen(s->x + 3, s->u);
-    FORWARD
-    given(s->x + 3, s->u + SEEN + UNITS, d);
-    for (int i = 0; i < GIVEN; ++i) d[i] += push[i];
-    phi(s->x, drive, flight, theta, d, rate);
-}
-
 /* Adds back' d(rate)/dx to out and back' d(rate)/dtheta to theta_back; what came back to the layers is kept. */
-INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *push,
-                      const V *back, V *out, V *theta_back) {
+INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *back,
+                      V *out, V *theta_back) {
     V d[GIVEN], of_x[SIZE], of_d[GIVEN], of_theta[THETA + 1], of_state[6], to[64];
-    given(s->x + 3, s->u + SEEN + UNITS, d);
-    for (int i = 0; i < GIVEN; ++i) d[i] += push[i];
+    acceleration(s, 0, d);
     products(s->x, drive, flight, theta, d, back, of_x, of_d, of_theta);
     given_back(s->x + 3, s->u + SEEN + UNITS, of_d, of_state, s->back + UNITS);
     for (int i = 0; i < SIZE; ++i) out[i] += of_x[i];
@@ -65,31 +51,9 @@ INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *fligh
     for (int i = 0; i < 6; ++i) out[3 + i] += of_state[i];
 }
 
-/* States (steps + 1, SIZE); drive (2 steps + 1, ROWS) and the acceleration push (2 steps + 1, GIVEN) at starts,
-   middles and ends. `keep`: stages (4 steps,) for the adjoint, else their room is used again. */
-void roll_out(const double *xi, const V *x0, const V *drive, const V *flight, const V *theta, const V *push,
-              long steps, double h, int keep, Stage *stages, V *states) {
-    static const double reach[4] = {0.0, 0.5, 0.5, 1.0};
-    memcpy(states, x0, sizeof(V) * SIZE);
-    for (long k = 0; k < steps; ++k) {
-        const V *x = states + k * SIZE;
-        V *next = states + (k + 1) * SIZE, rate[SIZE], total[SIZE];
-        for (int q = 0; q < 4; ++q) {
-            Stage *s = stages + (keep ? 4 * k + q : q);
-            long at = 2 * k + (q + 1) / 2;
-            if (q == 0) memcpy(s->x, x, sizeof(V) * SIZE);
-            else for (int i = 0; i < SIZE; ++i) s->x[i] = x[i] + h * reach[q] * rate[i];
-            rate_of(xi, s, drive + at * ROWS, flight, theta, push + at * GIVEN, rate);
-            for (int i = 0; i < SIZE; ++i) total[i] = q == 0 ? rate[i] : total[i] + (q == 3 ? 1.0 : 2.0) * rate[i];
-        }
-        for (int i = 0; i < SIZE; ++i) next[i] = x[i] + h / 6.0 * total[i];
-    }
-}
-
 /* After roll_out. pull (steps + 1, MEASURED) is the loss's slope by the states; costate: by the start. */
-void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, const V *push, long steps, double h,
-             Stage *stages, const V *pull, V *costate, double *gradient, V *theta_back) {
-    static const double share[4] = {1.0, 2.0, 2.0, 1.0}, reach[4] = {0.5, 0.5, 1.0, 0.0};
+void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, long steps, double h, Stage *stages,
+             const V *pull, V *costate, double *gradient, V *theta_back) {
     memset(costate, 0, sizeof(V) * SIZE);
     memset(theta_back, 0, sizeof(V) * THETA);
     for (long k = steps; k-- > 0;) {
@@ -98,13 +62,11 @@ void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, 
         memcpy(before, costate, sizeof before);
         for (int q = 3; q >= 0; --q) {
             for (int i = 0; i < SIZE; ++i) {
-                back[i] = h * share[q] / 6.0 * costate[i];
-                if (q < 3) back[i] += h * reach[q] * later[i];
+                back[i] = h * SHARE[q] / 6.0 * costate[i];
+                if (q < 3) back[i] += h * ALONG[q + 1] * later[i];
             }
             memset(later, 0, sizeof later);
-            long at = 2 * k + (q + 1) / 2;
-            pull_back(xi, stages + 4 * k + q, drive + at * ROWS, flight, theta, push + at * GIVEN, back, later,
-                      theta_back);
+            pull_back(xi, stages + 4 * k + q, drive + (2 * k + HALF(q)) * ROWS, flight, theta, back, later, theta_back);
             for (int i = 0; i < SIZE; ++i) before[i] += later[i];
         }
         memcpy(costate, before, sizeof before);
@@ -112,5 +74,3 @@ void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, 
     for (int i = 0; i < MEASURED; ++i) costate[i] += pull[i];
     GRADIENTS
 }
-
-long stage_bytes(void) { return sizeof(Stage); }

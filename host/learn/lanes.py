@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import ctypes
 import logging
-from collections.abc import Sequence
+from functools import partial
 from typing import Annotated
 
 import numpy as np
 
 from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
-from trimtab.host.codegen.simd import LANES, aligned, lanes_of, rows_of
+from trimtab.host.codegen.simd import aligned, lanes_of, pointer, rows_of
 from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
-from trimtab.host.learn.kernel import MEASURED, kernel, pointer, pointers
+from trimtab.host.learn.kernel import MEASURED, kernel, pointers
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
@@ -61,9 +61,11 @@ class LaneRollouts:
         self.phi, self.layout, self.step_s = phi, layout, step_s
         self.weight = np.asarray(weight, dtype=float)
         self._kernel = kernel(phi, layout, compiler)
-        self._theta = aligned((max(1, len(theta)), LANES))
+        self._lanes = self._kernel.roll_out.lanes
+        self._theta = aligned((max(1, len(theta)), self._lanes))
         self._theta[: len(theta)] = np.asarray(theta)[:, None]
-        self._stages, self._still = aligned((0,)), aligned((0,))
+        self._roll = partial(self._kernel.roll_out, step_s=step_s, every=1)
+        self._stages = aligned((0,))
 
     def roll_out(
         self,
@@ -77,17 +79,16 @@ class LaneRollouts:
 
     def pushed(self, segments: Segments) -> Pushed:
         """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
-        drive, flight = (lanes_of(rows) for rows in (segments.drive, segments.constants))
+        drive, flight = (lanes_of(rows, self._lanes) for rows in (segments.drive, segments.constants))
         groups, steps = len(drive), segments.steps
-        states, xi = aligned((groups, steps + 1, self.phi.size, LANES)), np.zeros(self.layout.size)
-        stages = aligned((self._kernel.stage_bytes // 2,))
+        states = aligned((groups, steps + 1, self.phi.size, self._lanes))
+        xi = np.zeros(self.layout.size)
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
-            start, pushes = lanes_of(x0), lanes_of(push)
-            thetas = aligned((groups, max(1, theta.shape[1]), LANES))
-            thetas[:, : theta.shape[1]] = lanes_of(theta) if theta.shape[1] else 0.0
-            inputs = (*map(pointers, (start, drive, flight, thetas, pushes)), [pointer(stages)] * groups)
-            self._roll(xi, steps, (*inputs, pointers(states)), store=False)
+            start, pushes = lanes_of(x0, self._lanes), lanes_of(push, self._lanes)
+            thetas = lanes_of(theta, self._lanes) if theta.shape[1] else [None] * groups
+            for x, d, c, of, a, out in zip(start, drive, flight, thetas, pushes, states, strict=True):
+                self._roll(xi, x, d, None, c, of, a, stages=None, samples=out)
             return rows_of(states, len(x0))
 
         return roll
@@ -101,60 +102,42 @@ class LaneRollouts:
         """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         xi = np.ascontiguousarray(xi, dtype=float)
         states, (drive, flight) = self._rolled(segments, x0, xi)
-        measured = lanes_of(segments.measured)
-        pull = states[:, :, :MEASURED] - measured
-        weight = (self.weight / segments.steps)[:, None]
-        unused = len(states) * LANES - segments.count
-        if unused:
-            pull[-1, :, :, LANES - unused :] = 0.0
+        # By segments, so that sums do not depend on the number of lanes.
+        pull = rows_of(states, segments.count)[:, :, :MEASURED] - segments.measured
+        weight = self.weight / segments.steps
         pull[:, 0] = 0.0
         loss = float((weight * pull**2).sum())
-        pull *= 2.0 * weight
-        pull = _aligned(pull)
-        of_xi, of_theta = np.zeros(len(xi)), np.zeros(len(self._theta))
-        costate, theta_back = aligned((len(states), self.phi.size, LANES)), aligned(self._theta.shape)
-        weights, theta, still = pointer(xi), pointer(self._theta), pointer(self._still)
+        pull = lanes_of(2.0 * weight * pull, self._lanes)
+        unused = len(states) * self._lanes - segments.count
+        pull[-1, :, :, self._lanes - unused :] = 0.0
+        of_xi, costate = np.zeros(len(xi)), aligned((len(states), self.phi.size, self._lanes))
+        of_theta = aligned((len(states), *self._theta.shape))
+        weights, theta = pointer(xi), pointer(self._theta)
         steps, step_s = ctypes.c_long(segments.steps), ctypes.c_double(self.step_s)
-        rows = (drive, flight, self._stages, pull, costate)
-        for d, c, stages, vjp, back in zip(*map(pointers, rows), strict=True):
+        rows = (drive, flight, self._stages, pull, costate, of_theta)
+        for d, c, stages, vjp, back, theta_back in zip(*map(pointers, rows), strict=True):
             self._kernel.adjoint(
-                weights, d, c, theta, still, steps, step_s, stages, vjp, back, pointer(of_xi),
-                pointer(theta_back),
+                weights, d, c, theta, steps, step_s, stages, vjp, back, pointer(of_xi), theta_back,
             )  # fmt: skip
-            of_theta += theta_back.sum(1)
         return Gradient(
             loss=loss,
             xi=of_xi,
             x0=rows_of(costate, segments.count),
-            theta=of_theta[: len(self.phi.theta_names)],
+            theta=rows_of(of_theta, segments.count).sum(0)[: len(self.phi.theta_names)],
         )
 
     def _rolled(
         self, segments: Segments, x0: np.ndarray, xi: np.ndarray
     ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Return states (groups, N + 1, size, LANES), drive and constants over lanes; store the stages."""
-        start, drive, flight = (lanes_of(rows) for rows in (x0, segments.drive, segments.constants))
+        """Return states (groups, N + 1, size, lanes), drive and constants over lanes; store the stages."""
+        start, drive, flight = (
+            lanes_of(rows, self._lanes) for rows in (x0, segments.drive, segments.constants)
+        )
         groups, steps = len(start), segments.steps
-        states = aligned((groups, steps + 1, self.phi.size, LANES))
-        need = (groups, 4 * steps * self._kernel.stage_bytes // 8)
+        states = aligned((groups, steps + 1, self.phi.size, self._lanes))
+        need = (groups, 4 * steps * self._kernel.roll_out.stage_bytes // 8)
         if self._stages.shape != need:
-            self._stages, self._still = aligned(need), aligned((2 * steps + 1, 3, LANES))
-        shared = ([pointer(array)] * groups for array in (self._theta, self._still))
-        inputs = (*map(pointers, (start, drive, flight)), *shared, pointers(self._stages))
-        self._roll(xi, steps, (*inputs, pointers(states)), store=True)
+            self._stages = aligned(need)
+        for x, d, c, stages, out in zip(start, drive, flight, self._stages, states, strict=True):
+            self._roll(xi, x, d, None, c, self._theta, None, stages=stages, samples=out)
         return states, (drive, flight)
-
-    def _roll(
-        self, xi: np.ndarray, steps: int, rows: Sequence[Sequence[ctypes.c_void_p]], *, store: bool
-    ) -> None:
-        """Roll out each group. rows: addresses of start, drive, constants, theta, push, stages, states."""
-        weights = pointer(xi)
-        sizes = ctypes.c_long(steps), ctypes.c_double(self.step_s), ctypes.c_int(store)
-        for *inputs, stages, states in zip(*rows, strict=True):
-            self._kernel.roll_out(weights, *inputs, *sizes, stages, states)
-
-
-def _aligned(array: np.ndarray) -> np.ndarray:
-    out = aligned(array.shape)
-    out[:] = array
-    return out

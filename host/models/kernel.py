@@ -20,10 +20,10 @@ import numpy as np
 from trimtab.host.codegen.compiler import CodegenError, Compiler, engine_choice, wanted_compiler
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.codegen.simd import (
-    LANES,
     LAYERS,
     RK4,
     aligned,
+    lane_count,
     lane_source,
     pointer,
     simd_library,
@@ -43,7 +43,7 @@ def source(phi: Phi, layout: Layout | None) -> str:
     sizes = {"SIZE": phi.size, "ROWS": DRIVE_ROWS[phi.drive], "NETWORK": int(layout is not None)}
     forward: list[str] = []
     if layout is not None:
-        functions |= _network_ends(layout)
+        functions |= network_ends(layout)
         sizes |= {"SEEN": layout.sizes[0], "UNITS": sum(layout.hidden)}
         unit = weight = 0
         for inputs, outputs in pairwise(layout.sizes):
@@ -58,7 +58,7 @@ def source(phi: Phi, layout: Layout | None) -> str:
     return "\n".join([RK4, LAYERS, *emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
 
 
-def _network_ends(layout: Layout) -> dict[str, ca.Function]:
+def network_ends(layout: Layout) -> dict[str, ca.Function]:
     """Return the network's inputs and its acceleration as functions of v_ned and Theta."""
     state, out = ca.SX.sym("state", 6), ca.SX.sym("out", 3)
     seen = ca.vertcat(*layout.inputs(CASADI, ca.vertsplit(state)))
@@ -70,21 +70,22 @@ def _network_ends(layout: Layout) -> dict[str, ca.Function]:
 
 
 class RolloutKernel:
-    """The function `roll_out` of a library with `rollout.c`."""
+    """The function `roll_out` of a library with `rollout.c`. lanes: of a group."""
 
     def __init__(self, library: ctypes.CDLL) -> None:
         library.roll_out.restype, library.stage_bytes.restype = None, ctypes.c_long
         self._roll_out: Callable[..., None] = library.roll_out
         self.stage_bytes = int(library.stage_bytes())
+        self.lanes = lane_count(library)
 
     def __call__(  # noqa: PLR0913 (the data of one problem)
         self,
         xi: Annotated[np.ndarray, "weights"] | None,
         x0: Annotated[np.ndarray, "size lanes"],
-        drive: Annotated[np.ndarray, "stages rows flights"],
+        drive: Annotated[np.ndarray, "stages inputs flights"],
         flight_of: Annotated[np.ndarray, "lanes"] | None,
         flight: Annotated[np.ndarray, "15 lanes"],
-        theta: Annotated[np.ndarray, "parameters lanes"],
+        theta: Annotated[np.ndarray, "parameters lanes"] | None,
         push: Annotated[np.ndarray, "stages 3 lanes"] | None,
         *,
         step_s: float,
@@ -92,10 +93,10 @@ class RolloutKernel:
         stages: np.ndarray | None,
         samples: Annotated[np.ndarray, "samples rows lanes"],
     ) -> None:
-        """Roll out one group of LANES lanes into `samples`, which may be a part of a larger array.
+        """Roll out one group of lanes into `samples`, which may be a part of a larger array.
 
-        drive: of as many flights as lanes, or of those that `flight_of` names. stages: room for 4 stages of
-        each step, which are stored; None to store nothing.
+        drive: of as many flights as lanes, or of those that `flight_of` names. theta: None without
+        parameters. stages: room for 4 stages of each step, which are stored; None to store nothing.
         """
         store = stages is not None
         room = aligned((self.stage_bytes // 2,)) if stages is None else stages
@@ -103,7 +104,7 @@ class RolloutKernel:
             pointer(xi), pointer(x0), pointer(drive), ctypes.c_long(drive.shape[2]), pointer(flight_of),
             pointer(flight), pointer(theta), pointer(push), ctypes.c_long(len(drive) // 2),
             ctypes.c_double(step_s), ctypes.c_long(every), ctypes.c_int(store), pointer(room),
-            ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * LANES)),
+            ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * self.lanes)),
             pointer(samples),
         )  # fmt: skip
 
@@ -127,4 +128,4 @@ def rollout_kernel(phi: Phi, layout: Layout | None) -> RolloutKernel | None:
 
 @lru_cache(maxsize=16)
 def _compiled(phi: Phi, layout: Layout | None, compiler: Compiler) -> RolloutKernel:
-    return RolloutKernel(ctypes.CDLL(simd_library(source(phi, layout), compiler)))
+    return RolloutKernel(simd_library(source(phi, layout), compiler))

@@ -13,7 +13,7 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.codegen.simd import LANES, aligned
+from trimtab.host.codegen.simd import aligned
 from trimtab.host.models.drive import DRIVE_ROWS, FF_GAIN, VOLTAGE_AND_TIME
 from trimtab.host.models.kernel import RolloutKernel, rollout_kernel
 from trimtab.host.models.network import Network
@@ -149,13 +149,13 @@ def _flight_of_lanes(
 
 
 def _roll_out_groups(kernel: RolloutKernel, network: Network | None, data: _Data) -> np.ndarray:
-    """Return the samples (n, rows, lanes), in C by groups of LANES lanes."""
-    lanes = data.x0.shape[1]
-    samples = data.samples(-(-lanes // LANES) * LANES)
+    """Return the samples (n, rows, lanes), in C by groups of lanes."""
+    lanes, width = data.x0.shape[1], kernel.lanes
+    samples = data.samples(-(-lanes // width) * width)
     drive = np.ascontiguousarray(data.drive, dtype=float)
     xi = None if network is None else network.xi
-    for start in range(0, lanes, LANES):
-        group = np.minimum(np.arange(start, start + LANES), lanes - 1)  # the last lane fills the last group
+    for start in range(0, lanes, width):
+        group = np.minimum(np.arange(start, start + width), lanes - 1)  # the last lane fills the last group
         kernel(
             xi,
             _columns(data.x0, group),
@@ -167,7 +167,7 @@ def _roll_out_groups(kernel: RolloutKernel, network: Network | None, data: _Data
             step_s=data.step_s,
             every=data.every,
             stages=None,
-            samples=samples[:, :, start : start + LANES],
+            samples=samples[:, :, start : start + width],
         )
     return samples[:, :, :lanes]
 

@@ -14,12 +14,16 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.compiler import wanted_compiler
-from trimtab.host.codegen.simd import LANES, aligned
+from trimtab.host.codegen.simd import aligned
 from trimtab.host.plan.kernel import Kernel, kernel
 from trimtab.host.plan.stage import Stage, StageModel, build_stage
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]
+
+
+_WIDEST = 100
+"""Most intervals in a block of the virtual machine: wider ones save little and take longer to build."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -97,12 +101,13 @@ class Engine:
     def __init__(self, model: StageModel, engine: str | None = None) -> None:
         self.model = model
         compiler = wanted_compiler(engine)
-        self._made: Kernel | Stage = build_stage(model) if compiler is None else kernel(model, compiler)
+        self._kernel = None if compiler is None else kernel(model, compiler)
+        self._stages: dict[int, Stage] = {}
 
     @property
     def compiled(self) -> bool:
         """Whether it runs in C."""
-        return isinstance(self._made, Kernel)
+        return self._kernel is not None
 
     def over(
         self,
@@ -110,32 +115,35 @@ class Engine:
         parameters: Annotated[np.ndarray, "parameters intervals"],
     ) -> Intervals:
         """Return intervals with these nominal steps and parameters."""
-        if isinstance(self._made, Kernel):
-            return _Lanes(self.model, self._made, h0_s, parameters)
-        return _Machine(self.model, self._made, h0_s, parameters)
+        if self._kernel is not None:
+            return _Lanes(self.model, self._kernel, h0_s, parameters)
+        width = -(-len(h0_s) // -(-len(h0_s) // _WIDEST))
+        if width not in self._stages:
+            self._stages[width] = build_stage(self.model, width)
+        return _Machine(self.model, self._stages[width], h0_s, parameters)
 
 
 class _Lanes:
     """Intervals in lanes of the C kernel."""
 
     def __init__(self, model: StageModel, made: Kernel, h0_s: Array, parameters: Array) -> None:
-        self._kernel = made
+        self._kernel, lanes = made, made.lanes
         count, nx, nu = len(h0_s), model.nx, model.nu
         nz = nx + nu + 1
-        self._groups = -(-count // LANES)
+        self._groups = -(-count // lanes)
         # Lanes beyond the last interval repeat the first, so their numbers are finite; nobody reads them.
-        lane = np.zeros(self._groups * LANES, dtype=np.int64)
+        lane = np.zeros(self._groups * lanes, dtype=np.int64)
         lane[:count] = np.arange(count)
         self._lane = lane
-        self._shape = (self._groups, LANES)
-        self._z = aligned((self._groups, nz + 1 + model.np, LANES))
+        self._shape = (self._groups, lanes)
+        self._z = aligned((self._groups, nz + 1 + model.np, lanes))
         self._z[:, nz] = h0_s[lane].reshape(self._shape)
         self._z[:, nz + 1 :] = parameters[:, lane].reshape(model.np, *self._shape).swapaxes(0, 1)
         self._nx, self._nu = nx, nu
         self._xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
-        self._sigma = aligned((1, LANES))
-        self._lam_x = aligned((self._groups, nx, LANES))
-        self._lam_path = aligned((self._groups, made.rows, LANES))
+        self._sigma = aligned((1, lanes))
+        self._lam_x = aligned((self._groups, nx, lanes))
+        self._lam_path = aligned((self._groups, made.rows, lanes))
         pattern = made.pattern
         self.x_next = self._output(count, np.ones((nx, 1), dtype=bool))
         self.cost = self._output(count, np.ones((1, 1), dtype=bool))
@@ -157,12 +165,13 @@ class _Lanes:
     def _placed(self, count: int, size: int, entries: Index, rows: Index, columns: Index) -> Output:
         """Return an output of `size` numbers in each lane; `entries` of them are read."""
         k = np.arange(count)[:, None]
-        at = (k // LANES) * (size * LANES) + entries * LANES + k % LANES
-        flat = aligned((self._groups, size, LANES)).reshape(-1)
+        lanes = self._kernel.lanes
+        at = (k // lanes) * (size * lanes) + entries * lanes + k % lanes
+        flat = aligned((self._groups, size, lanes)).reshape(-1)
         return Output(flat=flat, at=at, rows=rows, columns=columns)
 
     def _in_lanes(self, rows: Array) -> Array:
-        """Return (groups, columns, LANES) of (N, columns)."""
+        """Return (groups, columns, lanes) of (N, columns)."""
         return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
 
     def set(
@@ -211,13 +220,17 @@ class _Lanes:
 
 
 class _Machine:
-    """Intervals in CasADi's virtual machine."""
+    """Intervals in CasADi's virtual machine, in blocks of the stage's width."""
 
     def __init__(self, model: StageModel, stage: Stage, h0_s: Array, parameters: Array) -> None:
-        count = len(h0_s)
-        self._nx, self._nu, self._count = model.nx, model.nu, count
+        count, width = len(h0_s), stage.width
+        blocks = -(-count // width)
+        self._shape = (blocks, width)
+        # Beyond the last interval the first is repeated, so the numbers are finite; nobody reads them.
+        self._lane = np.where(np.arange(blocks * width) < count, np.arange(blocks * width), 0)
+        self._at = np.arange(count)
         self._functions = {
-            name: Buffered(function.map(count))
+            name: Buffered(function.map(blocks))
             for name, function in (
                 ("value", stage.value),
                 ("slopes", stage.slopes),
@@ -226,21 +239,41 @@ class _Machine:
             )
         }
         for function in self._functions.values():
-            function.inputs["h0_s"][:] = h0_s[:, None]
-            function.inputs["p"][:] = parameters.T
-        self.x_next = self._output(stage, "value", "x_next")
-        self.cost = self._output(stage, "value", "cost")
-        self.path = self._output(stage, "value", "path")
-        self.x_slope = self._output(stage, "slopes", "x_slope")
-        self.path_slope = self._output(stage, "slopes", "path_slope")
-        self.cost_slope = self._output(stage, "gradient", "cost_slope")
-        self.hessian = self._output(stage, "hessian", "hessian")
+            function.inputs["h0_s"][:] = h0_s[self._lane].reshape(self._shape)
+            function.inputs["p"][:] = self._in_blocks(parameters.T)
+        self.x_next = self._values(stage, "value", "x_next")
+        self.cost = self._values(stage, "value", "cost")
+        self.path = self._values(stage, "value", "path")
+        self.cost_slope = self._values(stage, "gradient", "cost_slope")
+        self.x_slope = self._matrices(stage, "slopes", "x_slope")
+        self.path_slope = self._matrices(stage, "slopes", "path_slope")
+        self.hessian = self._matrices(stage, "hessian", "hessian")
 
-    def _output(self, stage: Stage, function: str, name: str) -> Output:
-        rows, columns = getattr(stage, function).sparsity_out(name).get_triplet()
+    def _values(self, stage: Stage, function: str, name: str) -> Output:
+        rows = np.arange(getattr(stage, function).size2_out(name))
+        block, lane = np.divmod(self._at, stage.width)
+        at = ((block * len(rows))[:, None] + rows) * stage.width + lane[:, None]
         flat = self._functions[function].outputs[name].reshape(-1)
-        at = np.arange(self._count)[:, None] * len(rows) + np.arange(len(rows))
-        return Output(flat=flat, at=at, rows=np.array(rows, dtype=int), columns=np.array(columns, dtype=int))
+        return Output(flat=flat, at=at, rows=rows, columns=np.zeros_like(rows))
+
+    def _matrices(self, stage: Stage, function: str, name: str) -> Output:
+        """Return the place of each number of sparse matrices, whose rows and columns are repeated."""
+        triplet = getattr(stage, function).sparsity_out(name).get_triplet()
+        rows, columns = (np.array(each, dtype=int) for each in triplet)
+        order = np.lexsort((columns, rows, rows % stage.width)).reshape(stage.width, -1)
+        block, lane = np.divmod(self._at, stage.width)
+        flat = self._functions[function].outputs[name].reshape(-1)
+        return Output(
+            flat=flat,
+            at=(block * len(rows))[:, None] + order[lane],
+            rows=rows[order[0]] // stage.width,
+            columns=columns[order[0]] // stage.width,
+        )
+
+    def _in_blocks(self, rows: Array) -> Array:
+        """Return (blocks * columns, width) of (N, columns)."""
+        blocks, width = self._shape
+        return rows[self._lane].reshape(blocks, width, -1).swapaxes(1, 2).reshape(-1, width)
 
     def set(
         self,
@@ -249,9 +282,9 @@ class _Machine:
         h: Annotated[np.ndarray, "intervals"],
     ) -> None:
         for function in self._functions.values():
-            function.inputs["x"][:] = x
-            function.inputs["u"][:] = u
-            function.inputs["h"][:] = h[:, None]
+            function.inputs["x"][:] = self._in_blocks(x)
+            function.inputs["u"][:] = self._in_blocks(u)
+            function.inputs["h"][:] = h[self._lane].reshape(self._shape)
 
     def values(self) -> None:
         self._functions["value"]()
@@ -271,6 +304,6 @@ class _Machine:
     ) -> None:
         inputs = self._functions["hessian"].inputs
         inputs["sigma"][:] = sigma
-        inputs["lam_x"][:] = lam_x
-        inputs["lam_path"][:] = lam_path
+        inputs["lam_x"][:] = self._in_blocks(lam_x)
+        inputs["lam_path"][:] = self._in_blocks(lam_path)
         self._functions["hessian"]()

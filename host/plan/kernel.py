@@ -8,7 +8,6 @@ compiler.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
@@ -20,7 +19,7 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.simd import LAYERS, lane_source, simd_library
+from trimtab.host.codegen.simd import LAYERS, lane_count, lane_source, simd_library
 from trimtab.host.models.network import Layout
 from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, network_ends
 
@@ -43,7 +42,7 @@ class Pattern:
 class Kernel:
     """The library's functions over groups of lanes (`kernel.c`), and the order of their outputs.
 
-    path_slope: rows and columns of its entries. rows: number of path rows.
+    path_slope: rows and columns of its entries. rows: number of path rows. lanes: of a group.
     """
 
     values: Callable[..., None]
@@ -52,6 +51,7 @@ class Kernel:
     pattern: Pattern
     path_slope: tuple[Annotated[np.ndarray, "entries"], Annotated[np.ndarray, "entries"]]
     rows: int
+    lanes: int
 
 
 def kernel(model: StageModel, compiler: Compiler) -> Kernel:
@@ -60,7 +60,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
     Raises CodegenError where the compiler fails.
     """
     parts = _Parts(model)
-    library = ctypes.CDLL(simd_library(parts.source(), compiler))
+    library = simd_library(parts.source(), compiler)
     for name in ("values", "slopes", "hessians"):
         getattr(library, name).restype = None
     return Kernel(
@@ -70,6 +70,7 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
         pattern=parts.pattern(),
         path_slope=_triplet(parts.path),
         rows=parts.rows,
+        lanes=lane_count(library),
     )
 
 

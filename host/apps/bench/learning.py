@@ -64,7 +64,7 @@ def measure(
         lanes = LaneRollouts(phi, PAPER_MLP, theta, step_s=STEP_S, weight=WEIGHT, compiler=compiler)
         lanes_ms = best_ms(lambda: lanes.gradient(batch, batch.x0, xi), repeats=repeats)
     on_progress(STEPS[2])
-    machine = Rollouts(phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT, engine="vm")
+    machine = Rollouts(phi, PAPER_MLP, theta, batch=PAPER_BATCH, step_s=STEP_S, weight=WEIGHT)
     machine_ms = best_ms(lambda: machine.gradient(batch, batch.x0, xi), repeats=repeats)
     on_progress(STEPS[3])
     ours, best_of_ours_ms = machine.gradient(batch, batch.x0, xi), lanes_ms or machine_ms

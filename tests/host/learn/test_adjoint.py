@@ -102,6 +102,22 @@ def test_both_engines_have_the_same_gradient(make_states, layout, require):
     np.testing.assert_allclose(tripled.x0[4:8], other.x0, rtol=0.0, atol=1e-12 * np.abs(other.x0).max())
 
 
+def test_gradient_and_roll_outs_are_the_same_bits_for_any_number_of_lanes(make_states, compiler_of_width):
+    segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5, 7, 1, 3, 0, 4, 6, 8, 2, 5])
+    layout = Layout(hidden=(5,))
+    xi, results = weights(layout), []
+    for lanes in (2, 4, 8):
+        rollouts = LaneRollouts(
+            WITH_EFFECTS, layout, DRAG, step_s=0.02, weight=WEIGHT, compiler=compiler_of_width(lanes)
+        )
+        found = rollouts.gradient(segments, segments.x0, xi)
+        results.append(
+            [rollouts.roll_out(segments, segments.x0, xi), found.loss, found.xi, found.x0, found.theta]
+        )
+    first, *others = ([np.asarray(part).tobytes() for part in result] for result in results)
+    assert others == [first, first]
+
+
 def test_gradient_by_effects_equals_finite_differences(make_states):
     segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5])
     xi, along, h = weights(LAYOUT), np.array([0.1, -0.2, 0.3, 0.002]), 1e-4

@@ -50,8 +50,7 @@ def test_roll_out_compiled_or_not_agrees(require, every, network) -> None:
     np.testing.assert_allclose(compiled, interpreted, rtol=1e-11, atol=1e-12)
 
 
-def test_roll_out_compiled_has_the_same_bits_for_any_number_of_lanes(require) -> None:
-    require("compiler")
+def test_roll_out_compiled_has_the_same_bits_for_any_number_of_lanes(compiler_of_width, monkeypatch) -> None:
     phi = Phi(vehicle=load_vehicle("research"))
     drive = np.zeros((41, DRIVE_ROWS["reference"]))
     drive[:, 2], drive[:, FF_GAIN], drive[:, VOLTAGE_AND_TIME.start] = -1.0, 1.0, 1.0
@@ -60,5 +59,9 @@ def test_roll_out_compiled_has_the_same_bits_for_any_number_of_lanes(require) ->
         roll_out, phi, drive=drive, flight=flight_constants(), theta=np.zeros(0), step_s=0.005, compiled=True
     )
     together = roll(x0=x0)
-    for lane in (0, 8):
-        assert together[:, :, lane].tobytes() == roll(x0=x0[:, lane : lane + 1]).tobytes()
+    for width in (2, 4, 8):
+        monkeypatch.setattr(
+            "trimtab.host.codegen.compiler.find_compiler", lambda width=width: compiler_of_width(width)
+        )
+        assert together.tobytes() == roll(x0=x0).tobytes()
+        assert together[:, :, 8].tobytes() == roll(x0=x0[:, 8:]).tobytes()

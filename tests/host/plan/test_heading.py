@@ -146,7 +146,7 @@ def test_residual_at_rest_turns_with_a_free_heading() -> None:
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(network=Network(layout=layout, xi=xi)))
     rest = dynamics.model.at_rest(VEHICLE, 0.0)
     assert rest == pytest.approx([0.5, -0.2, 0.1, 0.0, 0.0, 0.0])
-    value = build_stage(dynamics.stage_model(minimise="residual", free_yaw=True)).value
+    value = build_stage(dynamics.stage_model(minimise="residual", free_yaw=True), 1).value
     p = dynamics.parameters(np.zeros(1), rest=rest)[:, 0]
     costs = []
     for yaw in (0.0, 1.2, -2.9):

@@ -1,4 +1,4 @@
-"""The chain rule of one interval against CasADi's own differentiation of the unrolled step."""
+"""Derivatives of intervals, in C and by CasADi over many at once, against those of the unrolled step."""
 
 from __future__ import annotations
 
@@ -13,6 +13,7 @@ from trimtab.host.codegen import CASADI
 from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
+from trimtab.host.plan import intervals
 from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Minimised, Weights
 from trimtab.host.plan.intervals import Engine, Intervals
 from trimtab.host.plan.kernel import kernel_source
@@ -48,6 +49,12 @@ _LOADS = {
         (_EFFECTS["thrust-inflow"], (0.5,)),
     ),
 }
+
+
+@pytest.fixture(autouse=True)
+def _narrow_blocks(monkeypatch) -> None:
+    """Without a compiler, have several blocks, the last of them not full."""
+    monkeypatch.setattr(intervals, "_WIDEST", 4)
 
 
 def _dynamics(
@@ -249,6 +256,22 @@ def _evaluated(
     ]
 
 
+def test_results_are_the_same_bits_for_any_number_of_lanes(compiler_of_width, monkeypatch) -> None:
+    dynamics = _dynamics(False, "body")
+    model, count = dynamics.stage_model(minimise="residual"), 11
+    x, u, h, h0_s, p = _points(dynamics, count, model.nx)
+    results = []
+    for lanes in (2, 4, 8):
+        monkeypatch.setattr(
+            "trimtab.host.codegen.compiler.find_compiler", lambda lanes=lanes: compiler_of_width(lanes)
+        )
+        intervals = Engine(model, "c").over(h0_s, p)
+        rows, rng = intervals.path.rows.size, np.random.default_rng(5)
+        weights = rng.standard_normal((count, model.nx)), rng.standard_normal((count, rows))
+        results.append([part.tobytes() for part in _evaluated(intervals, rows, (x.T, u.T, h), weights)])
+    assert results[1:] == results[:1] * 2
+
+
 def test_other_weights_limits_and_values_need_no_other_kernel() -> None:
     first = _dynamics(True, "world", (*_LOADS["torque"], *_LOADS["force and torque"]))
     layout = Layout(hidden=(8, 5))
@@ -283,7 +306,7 @@ def test_stage_functions_of_the_same_model_have_the_same_instructions() -> None:
     def model() -> StageModel:
         return _dynamics(True, "world").stage_model(minimise="residual")
 
-    first, second = (build_stage(model()) for _ in range(2))
+    first, second = (build_stage(model(), 3) for _ in range(2))
     assert first.hessian.serialize() == second.hessian.serialize()
 
 

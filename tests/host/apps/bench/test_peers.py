@@ -32,9 +32,7 @@ def batch() -> tuple[Phi, Segments, np.ndarray, Gradient]:
     found = exact_segments(phi, sets["train"]).take([0, 3, 5])
     segments = replace(found, measured=found.measured[:, :7], drive=found.drive[:, :13])
     xi = LAYOUT.initial(np.random.default_rng(0))
-    rollouts = Rollouts(
-        phi, LAYOUT, phi.theta_neutral, batch=3, step_s=segments.step_s, weight=WEIGHT, engine="vm"
-    )
+    rollouts = Rollouts(phi, LAYOUT, phi.theta_neutral, batch=3, step_s=segments.step_s, weight=WEIGHT)
     return phi, segments, xi, rollouts.gradient(segments, segments.x0, xi)
 
 
