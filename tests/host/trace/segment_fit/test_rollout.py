@@ -143,6 +143,32 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     np.testing.assert_allclose(x0, truth, atol=1e-6)
 
 
+def test_linearisation_depends_neither_on_threads_nor_on_stored_columns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(4)
+    x0 = 0.2 * rng.normal(size=(5, 12))
+    data = replace(
+        make(np.full((5, PRE + STEPS, 4), HOVER), x0),
+        flight=np.array([0, 0, 0, 1, 1]),
+        paths=x0[[0, 3], None].repeat(2, axis=1),
+    )
+    theta_scaled, nuisances = 0.1 * rng.normal(size=len(SPACE.columns)), np.zeros((2, model.NUISANCES))
+
+    def linearised(jobs: int, stored: int) -> tuple[np.ndarray, ...]:
+        monkeypatch.setattr(linearise, "_STORED", stored)
+        form = SegmentModel(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False, jobs=jobs)
+        basis = linearise.basis(form, data, theta_scaled, nuisances)
+        for _ in range(2):
+            lin, x = linearise.linearise(form, data, theta_scaled, nuisances, basis)
+        return lin.own, lin.square, lin.cross, x
+
+    expected = linearised(1, 400)
+    for jobs, stored in ((3, 400), (1, 0)):
+        for ours, theirs in zip(linearised(jobs, stored), expected, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
+
+
 def lane_of(data: Segments, **values: float) -> np.ndarray:
     """Return the predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
     theta_scaled = np.zeros(len(SPACE.columns))
