@@ -55,7 +55,8 @@ class Delay(NamedTuple):
         """Return the delay of each motor, in ticks."""
         size = 4 * (int(max(ticks)) + 2) if max(ticks) > 0.0 else 0
         motors = tuple(
-            (i, 4 * int(delay) + i, 4 * int(delay) + 4 + i, delay - int(delay)) for i, delay in enumerate(ticks)
+            (i, 4 * int(delay) + i, 4 * int(delay) + 4 + i, delay - int(delay))
+            for i, delay in enumerate(ticks)
         )
         return cls(memoryview(array("d", bytes(8 * size))), motors)
 

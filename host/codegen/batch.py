@@ -8,6 +8,7 @@ from __future__ import annotations
 import ctypes
 import logging
 from collections.abc import Mapping
+from functools import lru_cache
 
 import casadi as ca
 import numpy as np
@@ -23,6 +24,7 @@ _FEW = 8
 """Lanes below which CasADi is faster one by one: an operation on a vector takes 25 ns and 0.5 ns a lane."""
 
 
+@lru_cache(maxsize=64)
 @held_interrupts()
 def vectorised(function: ca.Function, lanes: int) -> ca.Function:
     """Return an SX function of dense columns as an MX function of matrices (lanes, rows).
@@ -108,6 +110,7 @@ class Batch:
         self.outputs = {name: views[name] for name in function.name_out()}
 
 
+@lru_cache(maxsize=64)
 def _library(function: ca.Function) -> ctypes.CDLL | None:
     """Return the compiled function over groups of lanes; None for CasADi's virtual machine."""
     compiler = wanted_compiler()

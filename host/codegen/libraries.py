@@ -14,6 +14,7 @@ import platform
 import shutil
 import sys
 import tempfile
+import threading
 from collections.abc import Callable
 from contextlib import suppress
 from functools import cache
@@ -27,6 +28,8 @@ T = TypeVar("T")
 
 _uncached: dict[str, list[Path]] = {}
 """Libraries by key that this process has compiled and the cache has not."""
+_compiling = threading.RLock()
+"""Held while a library is found or compiled, so that threads that need the same one do not all compile it."""
 
 
 def load_library(
@@ -45,10 +48,18 @@ def load_library(
     CodegenError where the library cannot be compiled or loaded.
     """
     name = library_key(key, compiler, native=native)
-    for path in _whole_libraries(cache_directory() / name) or _uncached.get(name, []):
-        with suppress(OSError, RuntimeError):  # it needs what this machine lacks, say: compile it again
-            return load(str(path))
-    text, scratch = key if source is None else source(), _temporary()
+    with _compiling:
+        for path in _whole_libraries(cache_directory() / name) or _uncached.get(name, []):
+            with suppress(OSError, RuntimeError):  # it needs what this machine lacks, say: compile it again
+                return load(str(path))
+        return _compiled(load, key if source is None else source(), name, compiler, native, include)
+
+
+def _compiled(
+    load: Callable[[str], T], text: str, name: str, compiler: Compiler, native: bool, include: Path | None
+) -> T:
+    """Return `load(path)` of a library that is compiled now. Raises CodegenError."""
+    scratch = _temporary()
     try:
         with tempfile.TemporaryDirectory(prefix=".build-", dir=scratch) as folder:
             library = run_compiler(text, compiler, Path(folder), native=native, include=include)

@@ -15,6 +15,7 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.base import parallel
 from trimtab.host.learn.adjoint import Rollouts
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.learn.linear import effect_scales, linearised
@@ -65,6 +66,16 @@ class Condensed:
     at: Annotated[np.ndarray, "segments unknowns"]
     nodes: int
 
+    def take(self, segments: slice) -> Condensed:
+        """Return the loss of some of the segments."""
+        return Condensed(
+            hessian=self.hessian[segments],
+            slope=self.slope[segments],
+            constant=self.constant[segments],
+            at=self.at[segments],
+            nodes=self.nodes,
+        )
+
     def loss(
         self, u: Annotated[np.ndarray, "segments unknowns"]
     ) -> tuple[float, Annotated[np.ndarray, "segments unknowns"]]:
@@ -79,7 +90,7 @@ DELAY_S = 0.01
 """Scale of the delay of poses."""
 
 
-def condense(
+def condense(  # noqa: PLR0913 (the data of one problem)
     engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,
@@ -89,12 +100,13 @@ def condense(
     free: Sequence[int],
     delay_s: float = 0.0,
     taken_s: float = 0.0,
+    jobs: int = 1,
 ) -> Condensed:
     """Return the segments' loss, condensed about a residual acceleration, theta and a delay of poses.
 
     acceleration: NED. start_sigma: scale of changes of the starts. free:
     entries of theta that are learned. taken_s: the latency that the measured states were given. An effect
-    that makes poses late delays the measured states too, in addition to its effect on board.
+    that makes poses late delays the measured states too, in addition to its effect on board. jobs: threads.
     """
     scale = effect_scales(engine.phi)
     now_s, unit = latency_s(engine.phi, theta), np.diag(scale)
@@ -105,7 +117,8 @@ def condense(
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
     constant, at = np.empty(count), np.empty((count, size))
     root = np.tile(np.sqrt(engine.weight / segments.steps), segments.steps)
-    for first in range(0, count, _BLOCK):
+
+    def condense_block(first: int) -> None:
         block = np.arange(first, min(first + _BLOCK, count))
         part, sigma = segments.take(block), start_sigma[block]
         ahead = DELAY_S * _rates(part.measured, part.step_s)  # the change by which late poses lag
@@ -128,6 +141,8 @@ def condense(
         slope[block] = -(u.swapaxes(1, 2) @ residual_over)[:, :, 0]
         constant[block] = (residual * residual_over).sum((1, 2))
         at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
+
+    parallel.each(condense_block, range(0, count, _BLOCK), jobs if isinstance(engine, LaneRollouts) else 1)
     at[:, 3 * nodes : -1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
     at[:, -1] = delay_s / DELAY_S
     return Condensed(hessian=hessian, slope=slope, constant=constant, at=at, nodes=nodes)

@@ -10,6 +10,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import minimize
 
+from trimtab.host.base import parallel
 from trimtab.host.learn.condensed import DELAY_S, Condensed, CondensedSettings
 from trimtab.host.models.network import Layout
 
@@ -17,6 +18,9 @@ SLAB = 2.0
 """Prior sigma of a parameter in typical sizes, and of the delay in units of DELAY_S, for all data."""
 
 _MEMORY = 30
+
+_PART = 16
+"""Segments whose loss is computed together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -81,14 +85,16 @@ def fit(
     settings: CondensedSettings,
     *,
     headings: Annotated[np.ndarray, "copies segments"] | None = None,
+    jobs: int = 1,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> Fitted:
     """Return the values that fit best, from `start`; stop early where validation does not improve.
 
-    headings, rad: every segment counts once for each of these angles, turned by it.
+    headings, rad: every segment counts once for each of these angles, turned by it. jobs:
+    threads; the result does not depend on them.
     """
-    problem = _Problem(basis, train, l2=settings.l2, headings=headings)
-    checked = _Problem(basis, validation, l2=0.0, headings=None, scale=problem.scale)
+    problem = _Problem(basis, train, l2=settings.l2, headings=headings, jobs=jobs)
+    checked = _Problem(basis, validation, l2=0.0, headings=None, scale=problem.scale, jobs=jobs)
     losses, checks = [], [checked.loss(start)]
     best = [start.copy(), 0]
 
@@ -126,8 +132,24 @@ def fit(
     )
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Part:
+    """Some segments under one set of headings, small enough for a processor's cache.
+
+    inputs: v_ned and Theta of the nodes, turned. cos, sin: of the headings.
+    """
+
+    segments: slice
+    inputs: Annotated[np.ndarray, "6 nodes"]
+    cos: Annotated[np.ndarray, "segments 1"]
+    sin: Annotated[np.ndarray, "segments 1"]
+
+
 class _Problem:
-    """Loss and slope by the learned values: mean over segments, scaled to a unit mean diagonal."""
+    """Loss and slope by the learned values: mean over segments, scaled to a unit mean diagonal.
+
+    The parts of `_PART` segments are summed in order, so that the result does not depend on `jobs`.
+    """
 
     def __init__(
         self,
@@ -137,22 +159,20 @@ class _Problem:
         l2: float,
         headings: np.ndarray | None,
         scale: float | None = None,
+        jobs: int = 1,
     ) -> None:
-        self.basis, self.condensed, self.l2 = basis, examples.condensed, l2
+        self.basis, self.condensed, self.l2, self.jobs = basis, examples.condensed, l2, jobs
         count, nodes = examples.states.shape[:2]
-        self.headings = np.zeros((1, count)) if headings is None else headings
+        headings = np.zeros((1, count)) if headings is None else headings
         diagonal = np.einsum("sii->si", self.condensed.hessian)[:, : 3 * nodes]
         self.scale = 1.0 / float(diagonal.mean()) if scale is None else scale
         self.last = np.inf
-        # (copies, S, N + 1, 6) turned, then (6, all)
-        c, s = np.cos(self.headings)[..., None], np.sin(self.headings)[..., None]
-        turned = np.repeat(examples.states[None], len(self.headings), axis=0)
-        north, east = turned[..., 0].copy(), turned[..., 1].copy()
-        turned[..., 0], turned[..., 1] = c * north - s * east, s * north + c * east
-        turned[..., 5] += self.headings[..., None]
-        self._c, self._s = c, s
-        self._inputs = np.ascontiguousarray(turned.reshape(-1, 6).T)
-        self._shape = (len(self.headings), count, nodes, 3)
+        self._share = self.scale / headings.size
+        self._parts = [
+            _part(examples.states, angles, slice(first, first + _PART))
+            for angles in headings
+            for first in range(0, count, _PART)
+        ]
 
     def split(self, v: np.ndarray) -> tuple[np.ndarray, np.ndarray, float]:
         """Return weights, scaled parameters and scaled delay."""
@@ -170,41 +190,54 @@ class _Problem:
 
     def _value(self, v: np.ndarray, *, slope: bool) -> tuple[float, np.ndarray]:
         xi, eta, delay = self.split(v)
-        layout, (copies, count, nodes, _) = self.basis.layout, self._shape
-        u = np.empty_like(self.condensed.at)
-        u[:, 3 * nodes :] = [*eta, delay]
-        total, gradient = 0.0, np.zeros(len(v))
-        share = self.scale / (count * copies)
-        pushes = np.zeros(self._shape)
-        if layout is not None:
-            pushes = layout.arrays(xi, self._inputs).T.reshape(self._shape)
-        pull = np.empty(self._shape)
-        for copy in range(copies):
-            u[:, : 3 * nodes] = self._turned_back(pushes[copy], copy).reshape(count, -1)
-            value, by_u = self.condensed.loss(u)
-            total += share * value
-            if slope:
-                pull[copy] = self._turned(share * by_u[:, : 3 * nodes].reshape(count, nodes, 3), copy)
-                tail = share * by_u[:, 3 * nodes :].sum(0)
-                gradient[len(xi) :] += tail if self.basis.delay else tail[:-1]
-        prior = len(v) - len(xi)
-        total += self.l2 * float(xi @ xi) + self.scale / count * float((v[len(xi) :] ** 2).sum()) / SLAB**2
-        if slope:
-            if layout is not None:
-                gradient[: len(xi)] = layout.vjp(xi, self._inputs, pull.reshape(-1, 3).T)
-            gradient[: len(xi)] += 2.0 * self.l2 * xi
-            if prior:
-                gradient[len(xi) :] += 2.0 * self.scale / count * v[len(xi) :] / SLAB**2
+        count, others = len(self.condensed.constant), v[len(xi) :]
+        values = parallel.each(
+            lambda part: self._part_value(part, xi, np.array([*eta, delay]), slope=slope),
+            self._parts,
+            self.jobs,
+        )
+        total = self._share * sum(value for value, _ in values)
+        total += self.l2 * float(xi @ xi) + self.scale / count * float((others**2).sum()) / SLAB**2
+        gradient = self._share * np.sum([part for _, part in values], axis=0)
+        gradient[: len(xi)] += 2.0 * self.l2 * xi
+        gradient[len(xi) :] += 2.0 * self.scale / count * others / SLAB**2
         return total, gradient
 
-    def _turned(self, vectors: np.ndarray, copy: int) -> np.ndarray:
-        c, s, out = self._c[copy], self._s[copy], vectors.copy()
-        out[..., 0] = c * vectors[..., 0] - s * vectors[..., 1]
-        out[..., 1] = s * vectors[..., 0] + c * vectors[..., 1]
-        return out
+    def _part_value(
+        self, part: _Part, xi: np.ndarray, others: np.ndarray, *, slope: bool
+    ) -> tuple[float, np.ndarray]:
+        """Return the sum of the losses of a part, and its slope, which is 0 unless asked for."""
+        layout, condensed = self.basis.layout, self.condensed.take(part.segments)
+        count, nodes = len(condensed.constant), condensed.nodes
+        u, vjp = np.zeros_like(condensed.at), None
+        if layout is not None:
+            acceleration, vjp = layout.with_vjp(xi, part.inputs)
+            acceleration = _rotated(acceleration.T.reshape(count, nodes, 3), part.cos, -part.sin)
+            u[:, : 3 * nodes] = acceleration.reshape(count, -1)
+        u[:, 3 * nodes :] = others
+        value, by_u = condensed.loss(u)
+        gradient = np.zeros(self.basis.size)
+        if slope:
+            if vjp is not None:
+                costate = _rotated(by_u[:, : 3 * nodes].reshape(count, nodes, 3), part.cos, part.sin)
+                gradient[: len(xi)] = vjp(costate.reshape(-1, 3).T)
+            gradient[len(xi) :] = by_u[:, 3 * nodes :].sum(0)[: self.basis.size - len(xi)]
+        return value, gradient
 
-    def _turned_back(self, vectors: np.ndarray, copy: int) -> np.ndarray:
-        c, s, out = self._c[copy], self._s[copy], vectors.copy()
-        out[..., 0] = c * vectors[..., 0] + s * vectors[..., 1]
-        out[..., 1] = -s * vectors[..., 0] + c * vectors[..., 1]
-        return out
+
+def _part(states: np.ndarray, headings: np.ndarray, segments: slice) -> _Part:
+    """Return a part of the states (segments, nodes, 6), turned by the headings (segments,), rad."""
+    headings = headings[segments, None]
+    cos, sin = np.cos(headings), np.sin(headings)
+    turned = states[segments].copy()
+    turned[..., :3] = _rotated(turned[..., :3], cos, sin)
+    turned[..., 5] += headings
+    return _Part(segments=segments, inputs=np.ascontiguousarray(turned.reshape(-1, 6).T), cos=cos, sin=sin)
+
+
+def _rotated(vectors: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
+    """Return vectors (segments, nodes, 3), NED, turned about the vertical."""
+    out = vectors.copy()
+    out[..., 0] = cos * vectors[..., 0] - sin * vectors[..., 1]
+    out[..., 1] = sin * vectors[..., 0] + cos * vectors[..., 1]
+    return out

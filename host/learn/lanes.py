@@ -79,10 +79,10 @@ class LaneRollouts:
         xi = np.zeros(self.layout.size)
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
-            start, pushes = lanes_of(x0, self._lanes), lanes_of(push, self._lanes)
-            thetas = lanes_of(theta, self._lanes) if theta.shape[1] else [None] * groups
-            for x, d, c, of, a, out in zip(start, drive, flight, thetas, pushes, states, strict=True):
-                self._roll(xi, x, d, None, c, of, a, stages=None, samples=out)
+            start, thetas, pushes = (lanes_of(rows, self._lanes) for rows in (x0, theta, push))
+            self._kernel.roll_out.groups(
+                xi, start, drive, flight, thetas, pushes, step_s=self.step_s, samples=states
+            )
             return rows_of(states, len(x0))
 
         return roll

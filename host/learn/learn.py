@@ -9,6 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.host.base.parallel import cores
 from trimtab.host.effects import Effect
 from trimtab.host.learn.candidates import Candidate, Trial, best, note
 from trimtab.host.learn.condensed import CondensedSettings
@@ -108,6 +109,7 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     forms: Sequence[str] = (),
     seed: int = 0,
     as_asked: bool = False,
+    jobs: int | None = None,
     provenance: Mapping[str, Any] | None = None,
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Learned:
@@ -119,7 +121,8 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     hold_out: flights for the test; None for those of every fourth reference, of three or more. base: a model
     whose effects stay as they are; the residual that they leave is learned. effects: the library, by name.
     forms: effects of the library that are learned beside the network, on the condensed loss only. as_asked:
-    select everything that was asked for, even where less predicts better.
+    select everything that was asked for, even where less predicts better. jobs: threads of the condensed
+    loss; as many as there are cores if None. The result does not depend on it.
 
     Raises TooLittleData, also for flights of two vehicles.
     """
@@ -132,7 +135,7 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     late = any(effect.mocap_latency_s is not None for effect in grown)
     phi = Phi(vehicle=flights[0].vehicle, effects=grown, estimator=late, parameters=data.used[0].parameters)
     segments = _segments(data.used, phi, rng)
-    candidates, trained = _candidates(phi, parts, forms, segments, settings, rng, on_epoch)
+    candidates, trained = _candidates(phi, parts, forms, segments, settings, rng, jobs, on_epoch)
     trials = tuple(data.trial(candidate) for candidate in candidates)
     selected = trials[-1] if as_asked else best(trials)
     candidate = candidates[trials.index(selected)]
@@ -196,6 +199,7 @@ def _candidates(
     segments: tuple[Segments, Segments],
     settings: Settings | CondensedSettings,
     rng: np.random.Generator,
+    jobs: int | None,
     on_epoch: Callable[[int, float], None] | None,
 ) -> tuple[list[Candidate], Trained | CondensedTrained]:
     """Return all candidates, from nothing learned to everything asked for, and how the last was trained.
@@ -221,6 +225,7 @@ def _candidates(
             rng,
             weight=weight,
             free=free,
+            jobs=cores() if jobs is None else jobs,
             on_iteration=on_epoch if each is settings else None,
         )
         for each in (*effects_alone, settings)

@@ -48,7 +48,7 @@ class CondensedTrained:
         return sum(each.iterations for each in self.fitted)
 
 
-def train_condensed(
+def train_condensed(  # noqa: PLR0913 (the data of one problem)
     phi: Phi,
     theta: Annotated[np.ndarray, "parameters"],
     segments: tuple[Segments, Segments],
@@ -57,13 +57,15 @@ def train_condensed(
     *,
     weight: Annotated[np.ndarray, "12"],
     free: Sequence[int] | None = None,
+    jobs: int = 1,
     on_iteration: Callable[[int, float], None] | None = None,
 ) -> CondensedTrained:
     """Return the residual of phi learned from segments: parameters of its effects and a network.
 
     segments: to learn from, and for validation. theta: parameters to begin at; the measured states have the
     latency that it gives. weight: diagonal L of the loss. free: indices of theta that are learned; default
-    all. on_iteration: called with the number of iterations of all passes so far, and the validation loss.
+    all. jobs: threads; the result does not depend on them. on_iteration: called with the number of iterations
+    of all passes so far, and the validation loss.
     """
     train_on, validation = segments
     chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
@@ -74,7 +76,7 @@ def train_condensed(
         start[: basis.weights] = settings.layout.initial(rng)
     start[basis.weights : basis.weights + len(chosen)] = (theta - phi.theta_neutral)[chosen] / scale
     headings = random_headings(settings, train_on.count, rng)
-    condenser = _Condenser(phi, theta, basis, chosen, settings, train_on.step_s, weight)
+    condenser = _Condenser(phi, theta, basis, chosen, settings, train_on.step_s, weight, jobs)
     fits: list[Fitted] = []
     network, learned, delay_s = np.zeros(basis.weights), theta.copy(), 0.0
     for turn in range(settings.passes):
@@ -90,6 +92,7 @@ def train_condensed(
             start,
             settings,
             headings=headings,
+            jobs=jobs,
             on_iteration=report,
         )
         fits.append(fitted)
@@ -129,8 +132,9 @@ class _Condenser:
         settings: CondensedSettings,
         step_s: float,
         weight: np.ndarray,
+        jobs: int,
     ) -> None:
-        self._phi, self._basis, self._free = phi, basis, free.tolist()
+        self._phi, self._basis, self._free, self._jobs = phi, basis, free.tolist(), jobs
         self._engine = rollouts(phi, _SMALLEST, theta, batch=1, step_s=step_s, weight=weight)
         self._latency_s = latency_s(phi, theta)
         self._start_share = 1.0 if settings.free_start else _FIXED_START
@@ -149,6 +153,7 @@ class _Condenser:
             free=self._free,
             delay_s=delay_s,
             taken_s=self._latency_s,
+            jobs=self._jobs,
         )
         return Examples(condensed=condensed, states=states)
 

@@ -99,7 +99,9 @@ def scan(path: Path) -> Scan:
         raise LogError(f"{path}: {problem}; give a flight log written by trimtab fly or trimtab import")
     result = Scan(path=path, id=hashlib.sha256(content).hexdigest()[:12], size=len(content))
     reader = StreamReader(
-        BytesIO(content), emit_chunks=True, record_size_limit=min(len(content), CHUNK_LIMIT_BYTES)
+        BytesIO(_without_message_indexes(content)),
+        emit_chunks=True,
+        record_size_limit=min(len(content), CHUNK_LIMIT_BYTES),
     )
     chunks: list[Chunk] = []
     errors: list[BaseException] = []
@@ -123,6 +125,22 @@ def scan(path: Path) -> Scan:
             f", {left_out} damaged" if left_out else ""
         )
     return result
+
+
+def _without_message_indexes(content: bytes) -> bytes:
+    """Return the file without its message indexes, which are not used and take long to parse."""
+    parts, start, size = [], 0, len(content)
+    offset = len(MAGIC)
+    while offset + _RECORD.size <= size:
+        opcode, length = _RECORD.unpack_from(content, offset)
+        end = offset + _RECORD.size + length
+        if opcode == Opcode.FOOTER or end > size:
+            break
+        if opcode == Opcode.MESSAGE_INDEX:
+            parts.append(content[start:offset])
+            start = end
+        offset = end
+    return b"".join([*parts, content[start:]])
 
 
 def _take_record(result: Scan, record: object) -> None:

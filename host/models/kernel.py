@@ -71,7 +71,9 @@ class RolloutKernel:
 
     def __init__(self, library: ctypes.CDLL) -> None:
         library.roll_out.restype, library.stage_bytes.restype = None, ctypes.c_long
+        library.roll_out_groups.restype = None
         self._roll_out: Callable[..., None] = library.roll_out
+        self._groups: Callable[..., None] = library.roll_out_groups
         self.stage_bytes = int(library.stage_bytes())
         self.lanes = lane_count(library)
 
@@ -103,6 +105,27 @@ class RolloutKernel:
             ctypes.c_double(step_s), ctypes.c_long(every), ctypes.c_int(store), pointer(room),
             ctypes.c_long(samples.shape[1]), ctypes.c_long(samples.strides[1] // (8 * self.lanes)),
             pointer(samples),
+        )  # fmt: skip
+
+    def groups(
+        self,
+        xi: Annotated[np.ndarray, "weights"],
+        x0: Annotated[np.ndarray, "groups size lanes"],
+        drive: Annotated[np.ndarray, "groups stages inputs lanes"],
+        flight: Annotated[np.ndarray, "groups 15 lanes"],
+        theta: Annotated[np.ndarray, "groups parameters lanes"],
+        push: Annotated[np.ndarray, "groups stages 3 lanes"],
+        *,
+        step_s: float,
+        samples: Annotated[np.ndarray, "groups nodes size lanes"],
+    ) -> None:
+        """Roll out all groups of lanes into `samples`, the states after every step, in one call."""
+        room = aligned((self.stage_bytes // 2,))
+        self._groups(
+            ctypes.c_long(len(x0)), pointer(xi), pointer(x0), pointer(drive), pointer(flight),
+            ctypes.c_long(flight.shape[1]), pointer(theta), ctypes.c_long(theta.shape[1]), pointer(push),
+            ctypes.c_long(drive.shape[1] // 2), ctypes.c_double(step_s),
+            pointer(room), pointer(samples),
         )  # fmt: skip
 
 

@@ -9,7 +9,7 @@ same network runs on scalars (the law's form), as CasADi matrix products and on 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from typing import Annotated, Any, Literal, NamedTuple
@@ -103,39 +103,38 @@ class Layout:
         self, xi: Annotated[np.ndarray, "weights"], state: Annotated[np.ndarray, "6 lanes"]
     ) -> Annotated[np.ndarray, "3 lanes"]:
         """Return accelerations for v_ned and Theta on numpy."""
-        rows = list(state)
-        values = np.stack(self.inputs(NUMPY, rows))
-        for k, layer in enumerate(self.places()):
-            if k:
-                values = np.tanh(values)
-            weights = xi[layer.where].reshape(layer.rows, layer.columns)
-            values = weights[:, :-1] @ values + weights[:, -1:]
-        return np.stack(self.acceleration(NUMPY, rows, list(values)))
+        return self.with_vjp(xi, state)[0]
 
-    def vjp(
-        self,
-        xi: Annotated[np.ndarray, "weights"],
-        state: Annotated[np.ndarray, "6 lanes"],
-        costate: Annotated[np.ndarray, "3 lanes"],
-    ) -> Annotated[np.ndarray, "weights"]:
-        """Return costate' d(acceleration)/dxi, with the acceleration of `arrays`."""
-        values, layer_inputs = np.stack(self.inputs(NUMPY, list(state))), []
+    def with_vjp(
+        self, xi: Annotated[np.ndarray, "weights"], state: Annotated[np.ndarray, "6 lanes"]
+    ) -> tuple[Annotated[np.ndarray, "3 lanes"], Callable[[np.ndarray], np.ndarray]]:
+        """Return the accelerations of `arrays`, and a function that pulls a costate (3, lanes) back to xi.
+
+        The function returns costate' d(acceleration)/dxi, (weights,).
+        """
+        rows = list(state)
+        values, layer_inputs = np.stack(self.inputs(NUMPY, rows)), []
         layers = list(self.places())
         for k, layer in enumerate(layers):
             if k:
-                values = np.tanh(values)
+                np.tanh(values, out=values)
             layer_inputs.append(values)
             weights = xi[layer.where].reshape(layer.rows, layer.columns)
-            values = weights[:, :-1] @ values + weights[:, -1:]
-        back, gradient = np.stack(self.outputs(NUMPY, list(state), list(costate))), np.empty(self.size)
-        for k, layer in reversed(list(enumerate(layers))):
-            layer_gradient = gradient[layer.where].reshape(layer.rows, layer.columns)
-            np.matmul(back, layer_inputs[k].T, out=layer_gradient[:, :-1])
-            layer_gradient[:, -1] = back.sum(1)
-            if k:
-                weights = xi[layer.where].reshape(layer.rows, layer.columns)
-                back = (weights[:, :-1].T @ back) * (1.0 - layer_inputs[k] * layer_inputs[k])
-        return gradient
+            values = weights[:, :-1] @ values
+            values += weights[:, -1:]
+
+        def vjp(costate: np.ndarray) -> np.ndarray:
+            back, gradient = np.stack(self.outputs(NUMPY, rows, list(costate))), np.empty(self.size)
+            for k, layer in reversed(list(enumerate(layers))):
+                layer_gradient = gradient[layer.where].reshape(layer.rows, layer.columns)
+                np.matmul(back, layer_inputs[k].T, out=layer_gradient[:, :-1])
+                layer_gradient[:, -1] = back.sum(1)
+                if k:
+                    weights = xi[layer.where].reshape(layer.rows, layer.columns)
+                    back = (weights[:, :-1].T @ back) * (1.0 - layer_inputs[k] * layer_inputs[k])
+            return gradient
+
+        return np.stack(self.acceleration(NUMPY, rows, list(values))), vjp
 
     def layers(
         self, xi: Annotated[np.ndarray, "weights"]

@@ -173,7 +173,7 @@ def held_out_errors(
 
     def predict(values: np.ndarray, whole: Model | None) -> tuple[Errors, ...]:
         if logs.drive == "reference":
-            return predict_flights(logs.held_out, whole, effects)
+            return predict_flights(logs.held_out, whole, effects, jobs=segment_model.jobs)
         return predict_segments(logs.held_out, segment_model, values)
 
     before = predict(theta_without_effects(space, diagnosis.null_fit), None)

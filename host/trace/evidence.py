@@ -8,8 +8,9 @@ The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
 - dl: change of the nuisances of the flight;
 - w: process disturbance, six components (force and torque) in each bin of 0.1 s.
 
-Only the Gram matrix of [r | S | L | Z] of each segment is kept, so the evidence of any set of effects costs
-one small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
+Segments are reduced flight by flight: of the Gram matrix of [r | S | L | Z], the part without w is summed
+over a flight, and the part of w is kept for each segment. So the evidence of any set of effects costs one
+small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
 its tolerance and discrepancy combined. A parameter of a selected effect has a standard deviation of
 RULES.slab_sigma typical sizes.
 """
@@ -18,86 +19,18 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
 from scipy.optimize import minimize
 
 from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, innovation_root
 
 FORCE_LIMITS = (-14.0, 6.0)
 """Search range of the log variances of force, (m/s^2)^2."""
 TORQUE_LIMITS = (-14.0, 12.0)
 """Search range of the log variance of torque, (rad/s^2)^2 or (rad/s)^2."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class DisturbanceVariances:
-    """Log variances of the process disturbance, FRD.
-
-    log_lateral, log_axial: specific force across and along the thrust, (m/s^2)^2. They differ because thrust
-    errors act along the thrust. log_torque: angular acceleration, (rad/s^2)^2. In rate-driven mode (torque
-    unknown; the measured body rate replaces the torque model) it is a body-rate error, (rad/s)^2.
-    """
-
-    log_lateral: float
-    log_axial: float
-    log_torque: float
-
-    def sigma(self) -> Annotated[np.ndarray, "6"]:
-        """Return standard deviations of the disturbance, FRD: force x, y, z, torque x, y, z."""
-        logs = [self.log_lateral] * 2 + [self.log_axial] + [self.log_torque] * 3
-        return np.exp(0.5 * np.array(logs))
-
-    def covariance(self, bins: int) -> Annotated[np.ndarray, "disturbances disturbances"]:
-        """Return the covariance of the disturbance, ordered by bin, then component."""
-        return np.kron(correlation(bins), np.diag(self.sigma() ** 2))
-
-
-def correlation(bins: int) -> Annotated[np.ndarray, "bins bins"]:
-    """Return the correlation of the disturbance between bins."""
-    lag = np.abs(np.subtract.outer(np.arange(bins), np.arange(bins)))
-    return RULES.disturbance_correlation**lag
-
-
-@dataclass(frozen=True, kw_only=True)
-class Linearisation:
-    """Grams of [r | S | L | Z] of every segment at one point, with initial states projected out.
-
-    flight: index of the flight of each segment. theta_scaled: scaled parameters. nuisances: sensor and flight
-    errors that are constant over a flight. Z has six columns for each bin.
-    """
-
-    gram: Annotated[np.ndarray, "segments all_columns all_columns"]
-    flight: Annotated[np.ndarray, "segments"]
-    theta_scaled: Annotated[np.ndarray, "parameters"]
-    nuisances: Annotated[np.ndarray, "flights nuisances"]
-
-    @property
-    def parameters(self) -> int:
-        """Number of scaled parameters."""
-        return len(self.theta_scaled)
-
-    @property
-    def bins(self) -> int:
-        """Number of disturbance bins in a segment."""
-        return (self.gram.shape[1] - 1 - self.parameters - self.nuisances.shape[1]) // 6
-
-    @cached_property
-    def by_innovations(
-        self,
-    ) -> tuple[
-        Annotated[np.ndarray, "segments innovations innovations"],
-        Annotated[np.ndarray, "segments innovations columns"],
-    ]:
-        """Grams Z' Z and Z' [r | S | L] of the innovations.
-
-        The innovations of the bins are independent, so their covariance is diagonal for every process.
-        """
-        n = 1 + self.parameters + self.nuisances.shape[1]
-        root = np.kron(np.linalg.cholesky(correlation(self.bins)), np.eye(6))
-        return root.T @ self.gram[:, n:, n:] @ root, root.T @ self.gram[:, n:, :n]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -139,19 +72,12 @@ class MarginalGrams:
 def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Prior) -> MarginalGrams:
     """Return the Grams with disturbance and nuisances integrated out.
 
-    The noise covariance is I + Z Q Z', with Q the covariance of `process`; Woodbury's identity inverts it.
-    Then the nuisances of each flight are integrated out under `prior`.
+    The nuisances of each flight are integrated out under `prior`.
     """
-    count, width = lin.nuisances.shape
-    m = 1 + lin.parameters
-    n = m + width
-    square, cross = lin.by_innovations
-    sigma = np.tile(process.sigma(), lin.bins)
-    inner = np.eye(6 * lin.bins) + square * np.outer(sigma, sigma)
-    cross = cross * sigma[:, None]
-    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ np.linalg.solve(inner, cross)
-    flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
-    log_det = float(2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum())
+    count, m = len(lin.nuisances), 1 + lin.parameters
+    sums = _without_disturbance(lin, process)
+    flights = np.stack([flight_sums.gram for flight_sums in sums])
+    log_det = sum(flight_sums.log_det for flight_sums in sums)
     precision = 1.0 / prior.nuisance_sigma**2
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
@@ -278,57 +204,98 @@ def fit_process(
     return process(optimum.x)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _FlightSums:
+    """Sums over the segments of a flight, with the disturbance integrated out.
+
+    gram: of [r | S | L]. log_det: of the noise covariance. gains: for lateral force, axial force and torque,
+    the Gram of the rows of the gain from [r | S | L] to the innovations, in units of sigma. spread: for the
+    same, the sum of the posterior variances of the innovations minus 1.
+    """
+
+    gram: Annotated[np.ndarray, "columns columns"]
+    log_det: float
+    gains: Annotated[np.ndarray, "3 columns columns"]
+    spread: Annotated[np.ndarray, "3"]
+
+
+def _without_disturbance(
+    lin: Linearisation, process: DisturbanceVariances, *, gains: bool = False
+) -> list[_FlightSums]:
+    """Return the sums of every flight; `gains` and `spread` are 0 unless `gains`.
+
+    The noise covariance is I + Z Q Z', with Q the covariance of `process`; Woodbury's identity inverts it.
+    """
+    columns = lin.own.shape[1]
+    sigma = np.tile(process.sigma(), lin.bins)
+    channel = np.tile([0, 0, 1, 2, 2, 2], lin.bins)
+
+    def sums(segments: np.ndarray, flight: int) -> _FlightSums:
+        inner = np.eye(len(sigma)) + lin.square[segments] * np.outer(sigma, sigma)
+        cross = lin.cross[segments] * sigma[:, None]
+        inverse = np.linalg.inv(inner) if gains else None
+        gain = np.linalg.solve(inner, cross) if inverse is None else inverse @ cross
+        explained = cross.reshape(-1, columns).T @ gain.reshape(-1, columns)
+        by_channel, spread = np.zeros((3, columns, columns)), np.zeros(3)
+        if inverse is not None:
+            variance = np.einsum("szz->z", inverse) - len(segments)
+            for k in range(3):
+                rows = gain[:, channel == k].reshape(-1, columns)
+                by_channel[k], spread[k] = rows.T @ rows, variance[channel == k].sum()
+        return _FlightSums(
+            gram=lin.own[lin.piece_flight == flight].sum(0) - explained,
+            log_det=float(2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum()),
+            gains=by_channel,
+            spread=spread,
+        )
+
+    return lin.each(sums)
+
+
 def _evidence_and_slope(
     lin: Linearisation, process: DisturbanceVariances, prior: Prior, precision: np.ndarray
 ) -> tuple[float, np.ndarray]:
     """Return the log evidence of a set and its gradient (3,) with respect to the log variances.
 
     precision: of the prior of the set. The derivative with respect to a log variance is half the sum of
-    E[w^2 | data] - 1 over its innovations w, in units of sigma (Fisher's identity).
+    E[w^2 | data] - 1 over its innovations w, in units of sigma (Fisher's identity). Unknowns other than the
+    disturbance are the parameters and the nuisances of every flight; the latter are eliminated flight by
+    flight.
     """
-    m = 1 + lin.parameters
-    count, width = lin.nuisances.shape
-    n = m + width
-    disturbance_gram, cross = lin.by_innovations
-    sigma = np.tile(process.sigma(), lin.bins)
-    inner = np.eye(6 * lin.bins) + disturbance_gram * np.outer(sigma, sigma)
-    cross = cross * sigma[:, None]
-    inverse = np.linalg.inv(inner)
-    gain = inverse @ cross
-    each = lin.gram[:, :n, :n] - np.swapaxes(cross, 1, 2) @ gain
-    flights = np.stack([each[lin.flight == flight].sum(0) for flight in range(count)])
+    m, (count, width) = 1 + lin.parameters, lin.nuisances.shape
     nuisance_precision = 1.0 / prior.nuisance_sigma**2
-    # Unknowns other than the disturbance: the parameters, then the nuisances of every flight.
-    size = lin.parameters + count * width
-    A, b = np.zeros((size, size)), np.zeros(size)
-    square = float((nuisance_precision * lin.nuisances**2).sum() + precision @ lin.theta_scaled**2)
-    parameters = np.arange(lin.parameters)
-    A[parameters, parameters] = precision
-    b[parameters] = -precision * lin.theta_scaled
-    for k, gram in enumerate(flights):
-        at = np.r_[parameters, lin.parameters + k * width : lin.parameters + (k + 1) * width]
-        A[np.ix_(at, at)] += gram[1:, 1:]
-        b[at] += gram[1:, 0]
-        columns = at[lin.parameters :]
-        A[columns, columns] += nuisance_precision
-        b[columns] -= nuisance_precision * lin.nuisances[k]
-        square += gram[0, 0]
-    covariance = np.linalg.inv(A)
-    best = covariance @ b
-    log_dets = 2.0 * np.log(np.einsum("sii->si", np.linalg.cholesky(inner))).sum()
-    log_dets += np.linalg.slogdet(A)[1] - np.log(precision).sum() - count * np.log(nuisance_precision).sum()
-    value = -0.5 * (square - b @ best + log_dets)
+    sums = _without_disturbance(lin, process, gains=True)
+    flights = np.stack([flight_sums.gram for flight_sums in sums])
+    square = flights[:, 0, 0].sum() + (nuisance_precision * lin.nuisances**2).sum()
+    square += precision @ lin.theta_scaled**2
+    own = flights[:, m:, m:] + np.diag(nuisance_precision)
+    own_rhs = flights[:, m:, 0] - nuisance_precision * lin.nuisances
+    own_inverse = np.linalg.inv(own)
+    to_own = own_inverse @ flights[:, m:, 1:m]
+    normal = np.diag(precision) + (flights[:, 1:m, 1:m] - flights[:, 1:m, m:] @ to_own).sum(0)
+    rhs = flights[:, 1:m, 0].sum(0) - precision * lin.theta_scaled - np.einsum("kip,ki->p", to_own, own_rhs)
+    covariance = np.linalg.inv(normal)
+    best = covariance @ rhs
+    nuisances = np.einsum("kij,kj->ki", own_inverse, own_rhs) - to_own @ best
+    square -= rhs @ best + np.einsum("ki,kij,kj->", own_rhs, own_inverse, own_rhs)
+    log_dets = (
+        sum(flight_sums.log_det for flight_sums in sums)
+        + np.linalg.slogdet(normal)[1]
+        - np.log(precision).sum()
+    )
+    log_dets += np.linalg.slogdet(own)[1].sum() - count * np.log(nuisance_precision).sum()
 
-    power = np.zeros(6 * lin.bins)
-    for k in range(count):
-        segments = lin.flight == k
-        at = np.r_[parameters, lin.parameters + k * width : lin.parameters + (k + 1) * width]
-        mean = gain[segments, :, 0] - gain[segments, :, 1:] @ best[at]
-        slopes = gain[segments, :, 1:]
-        spread = np.einsum("szi,szi->sz", slopes @ covariance[np.ix_(at, at)], slopes)
-        power += (mean**2 + np.einsum("szz->sz", inverse[segments]) + spread - 1.0).sum(0)
-    by_channel = 0.5 * power.reshape(lin.bins, 6).sum(0)
-    return float(value), np.array([by_channel[:2].sum(), by_channel[2], by_channel[3:].sum()])
+    slope = np.zeros(3)
+    for flight, flight_sums in enumerate(sums):
+        mean = np.concatenate([[1.0], -best, -nuisances[flight]])
+        cross = -covariance @ to_own[flight].T
+        spread = np.zeros((m + width, m + width))
+        spread[1:m, 1:m], spread[1:m, m:], spread[m:, 1:m] = covariance, cross, cross.T
+        spread[m:, m:] = own_inverse[flight] - to_own[flight] @ cross
+        slope += 0.5 * (
+            np.einsum("cij,ij->c", flight_sums.gains, np.outer(mean, mean) + spread) + flight_sums.spread
+        )
+    return -0.5 * float(square + log_dets), slope
 
 
 def disturbances(
@@ -342,9 +309,14 @@ def disturbances(
     step, nuisances: changes from the linearisation. Force in m/s^2, then angular acceleration in rad/s^2 or,
     if the measured body rate drives the attitude, body rate in rad/s.
     """
-    m = 1 + lin.parameters
-    n = m + lin.nuisances.shape[1]
-    rhs = lin.gram[:, n:, 0] - lin.gram[:, n:, 1:m] @ step
-    rhs = rhs - np.einsum("szk,sk->sz", lin.gram[:, n:, m:n], nuisances[lin.flight])
-    inner = lin.gram[:, n:, n:] + np.linalg.inv(process.covariance(lin.bins))
-    return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0].reshape(len(lin.gram), lin.bins, 6)
+    root = innovation_root(lin.bins)
+    precision = np.diag(1.0 / np.tile(process.sigma(), lin.bins) ** 2)
+
+    def expected(segments: np.ndarray, flight: int) -> np.ndarray:
+        rhs = lin.cross[segments] @ np.concatenate([[1.0], -step, -nuisances[flight]])
+        innovations = np.linalg.solve(lin.square[segments] + precision, rhs[:, :, None])[:, :, 0]
+        return (innovations @ root.T).reshape(-1, lin.bins, 6)
+
+    out = np.empty((len(lin.piece), lin.bins, 6))
+    out[np.argsort(lin.flight, kind="stable")] = np.concatenate(lin.each(expected))
+    return out

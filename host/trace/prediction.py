@@ -14,19 +14,20 @@ from typing import Annotated
 
 import numpy as np
 
+from trimtab.host.base import parallel
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.effects import Effect
 from trimtab.host.log.errors import TooLittleData
+from trimtab.host.models.airframe import Part
 from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
-from trimtab.host.models.states import flight_states
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of
 from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.data.signals import FlightData, pose_interval_s
+from trimtab.host.trace.data.signals import FlightData, pose_interval_s, states_of
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
@@ -34,6 +35,8 @@ from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
 
 _LEAD_S = 0.3
 _ROLL_OUT_STEP_S = 0.005
+_TOGETHER = 8
+"""Flights that are rolled out together."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -93,33 +96,45 @@ def motion(
 
 
 def predict_flights(
-    flights: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]
+    flights: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect], *, jobs: int = 1
 ) -> tuple[Errors, ...]:
     """Return the errors of whole flights, predicted from their references by phi with the model's effects.
 
-    model: None for the nominal model. Flights with the same firmware parameters are rolled out together.
+    model: None for the nominal model. jobs: threads. Flights with the same firmware parameters are rolled out
+    together, _TOGETHER at a time.
     """
     settings: dict[str, list[int]] = {}
     for index, data in enumerate(flights):
         settings.setdefault(json.dumps(data.flight.firmware_parameters, sort_keys=True), []).append(index)
-    errors: dict[int, Errors] = {}
+    parts = [] if model is None else model.parts(effects)
+    batches = []
     for indices in settings.values():
-        predicted = _predict([flights[index] for index in indices], model, effects)
-        errors.update(zip(indices, predicted, strict=True))
+        first = flights[indices[0]].flight
+        phi = Phi(
+            vehicle=first.vehicle,
+            effects=tuple(effect for effect, _ in parts),
+            parameters=first.firmware_parameters,
+        )
+        batches += [(phi, indices[k : k + _TOGETHER]) for k in range(0, len(indices), _TOGETHER)]
+
+    def predict(batch: tuple[Phi, list[int]]) -> list[Errors]:
+        phi, indices = batch
+        return _predict(phi, [flights[index] for index in indices], parts)
+
+    predicted = parallel.each(predict, batches, jobs)
+    errors = {
+        index: each
+        for (_, indices), batch in zip(batches, predicted, strict=True)
+        for index, each in zip(indices, batch, strict=True)
+    }
     return tuple(errors[index] for index in range(len(flights)))
 
 
-def _predict(data: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect]) -> list[Errors]:
-    """Return the errors of flights that all have the same firmware parameters."""
+def _predict(phi: Phi, data: Sequence[FlightData], parts: Sequence[Part]) -> list[Errors]:
+    """Return the errors of flights that all have the firmware parameters of phi."""
     flights = [each.flight for each in data]
-    parts = [] if model is None else model.parts(effects)
-    phi = Phi(
-        vehicle=flights[0].vehicle,
-        effects=tuple(effect for effect, _ in parts),
-        parameters=flights[0].firmware_parameters,
-    )
     latency = float(latency_of(NUMPY, parts))
-    starts = flight_states(flights, latency_s=latency)
+    starts = states_of(data, latency)
     duration = [states.reference.nodes[-1].t_us * 1e-6 for states in starts]
     steps = round(max(duration) / _ROLL_OUT_STEP_S)
     fine = phi.substeps(_ROLL_OUT_STEP_S)
@@ -242,9 +257,8 @@ def _fitted_nuisances(
     process = starting_process(data)
     basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     for _ in range(3):
-        grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
-        data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, theta_scaled, nuisances)
+        lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
+        data = data.with_x0(x0)
         process = evidence.fit_process(lin, segment_model.space.prior, (), process)
         white = evidence.marginal_grams(lin, process, segment_model.space.prior)
         nuisances = nuisances + evidence.nuisance_step(
@@ -254,16 +268,16 @@ def _fitted_nuisances(
 
 
 def noise_floor(
-    logs: TraceData, model: Model | None, effects: Mapping[str, Effect]
+    logs: TraceData, model: Model | None, effects: Mapping[str, Effect], *, jobs: int = 1
 ) -> dict[str, float | None]:
     """Return an estimate of the prediction error of a perfect model, from differences of repeat flights.
 
     It is the part of the errors of whole flights that does not repeat. One model predicts all flights, so
     known differences between flights, such as the battery voltage, drop out. The entries, in m and m/s, are
-    None without repeat flights or if flights cannot be predicted whole.
+    None without repeat flights or if flights cannot be predicted whole. jobs: threads.
     """
     whole = logs.drive == "reference" and logs.repeat_flights
-    errors = predict_flights(logs.flights, model, effects) if whole else ()
+    errors = predict_flights(logs.flights, model, effects, jobs=jobs) if whole else ()
     squares: dict[str, list[np.ndarray]] = {"p_error_ned": [], "v_error_ned": []}
     for a, b in logs.repeat_flights if errors else ():
         first, second = errors[a], errors[b]

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 
+from trimtab.host.base import parallel
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import TORQUE
 from trimtab.host.log import Flight
@@ -30,7 +31,7 @@ OnProgress = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
 
 
-def run(
+def run(  # noqa: PLR0913 (one keyword for each choice)
     flights: Sequence[Flight],
     held_out: Sequence[Flight],
     effects: Mapping[str, Effect],
@@ -39,6 +40,7 @@ def run(
     manoeuvres: Manoeuvres | None = None,
     provenance: Mapping[str, object] | None = None,
     network: bool = False,
+    jobs: int | None = None,
     on_progress: OnProgress = lambda _: None,
 ) -> Trace:
     """Find the effects that the nominal model of `flights` lacks, and score the result on `held_out`.
@@ -61,6 +63,8 @@ def run(
     network
         Whether to train a network on the residual if the cause is outside the library and all logs hold a
         reference and the control law.
+    jobs
+        Threads that work on flights; as many as there are cores if None. The result does not depend on it.
     on_progress
         Called with a text as each step begins or ends.
 
@@ -69,11 +73,12 @@ def run(
     LogsRefused
         If the logs cannot be traced, alone or together.
     """
+    jobs = parallel.cores() if jobs is None else jobs
     logs = read_logs(flights, held_out, vehicle)
     on_progress("reading segments")
     parameters = space(logs.vehicle, observable_effects(effects, flights), logs.unknown)
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
-    segment_model = SegmentModel.of(logs.vehicle, parameters, data)
+    segment_model = SegmentModel.of(logs.vehicle, parameters, data, jobs=jobs)
     tracking_s, extent_m = tracking_time_and_extent(logs.flights)
     shortfall = tracking_shortfall(tracking_s, extent_m)
     whole_flights = logs.flights if logs.drive == "reference" and shortfall is None else ()
@@ -108,7 +113,7 @@ def run(
         before=before,
         after=after,
         adjustments_only=adjusted,
-        noise_floor=noise_floor(logs, model, effects),
+        noise_floor=noise_floor(logs, model, effects, jobs=jobs),
         next_flight=next_flight,
         model=assessed(model, decision, named, before, after),
         space=parameters,

@@ -10,8 +10,8 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import Linearisation
 from trimtab.host.trace.flight_fit.fit import FlightFit, prior_of
+from trimtab.host.trace.linearisation import Linearisation
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 
@@ -45,15 +45,9 @@ def inflated_segment_covariance(
 
 
 def _in_pieces(lin: Linearisation) -> Linearisation:
-    """Return the linearisation with each flight cut into pieces if there are few flights."""
-    if len(lin.nuisances) >= RULES.jackknife_pieces:
-        return lin
-    part = np.empty(len(lin.flight), dtype=int)
-    for flight in range(len(lin.nuisances)):
-        segments = np.flatnonzero(lin.flight == flight)
-        part[segments] = np.arange(len(segments)) * RULES.jackknife_pieces // max(len(segments), 1)
-    piece_ids, piece = np.unique(lin.flight * RULES.jackknife_pieces + part, return_inverse=True)
-    return replace(lin, flight=piece, nuisances=lin.nuisances[piece_ids // RULES.jackknife_pieces])
+    """Return the linearisation with each of its pieces as a flight."""
+    pieces = np.arange(len(lin.piece_flight))
+    return replace(lin, piece_flight=pieces, nuisances=lin.nuisances[lin.piece_flight])
 
 
 def jackknife_by_flight(

@@ -60,6 +60,8 @@ class LearnOptions:
         better.
     seed
         Seed of the first weights, the order and the split.
+    jobs
+        Threads of --method condensed. Default: the number of cores. The result does not depend on it.
     """
 
     hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
@@ -75,6 +77,7 @@ class LearnOptions:
     any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True
     as_asked: Annotated[bool, Parameter(negative="")] = False
     seed: int = 0
+    jobs: int | None = None
     workspace: WorkspaceFolder = None
     json: Json = False
     force: Force = False
@@ -92,6 +95,11 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
         Flight logs to learn from. A part of their references is held out for the test.
     """
     from time import monotonic
+
+    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+
+    check_jobs(options.jobs)
+    one_thread_of_algebra()
 
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import GateMissed
@@ -123,6 +131,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
             forms=forms,
             seed=options.seed,
             as_asked=options.as_asked,
+            jobs=options.jobs,
             provenance=artefacts.provenance(seed=options.seed, parents=parents),
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
         )

@@ -70,6 +70,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
+    from trimtab.host.base.parallel import check_jobs, cores
     from trimtab.host.base.progress import Progress
     from trimtab.host.base.workers import cores
     from trimtab.host.studies import find_study, options_of
@@ -78,8 +79,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     study = find_study(name)
     if options.seed < 0:
         raise UsageError(f"--seed {options.seed} is negative; give 0 or more")
-    if options.jobs is not None and options.jobs < 1:
-        raise UsageError(f"--jobs {options.jobs}: give 1 or more")
+    check_jobs(options.jobs)
     study_options = options_of(
         study,
         {

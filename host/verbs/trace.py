@@ -41,12 +41,15 @@ class TraceOptions:
     network
         Train a network on the unexplained residual if the cause is outside the library. Takes about ten
         seconds.
+    jobs
+        Threads that work on flights. Default: the number of cores. The result does not depend on it.
     """
 
     hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None
     network: Annotated[bool, Parameter(negative="--no-network")] = True
+    jobs: int | None = None
     workspace: WorkspaceFolder = None
     json: Json = False
     force: Force = False
@@ -63,6 +66,11 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     logs
         Flight logs to trace.
     """
+    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+
+    check_jobs(options.jobs)
+    one_thread_of_algebra()
+
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
@@ -96,6 +104,7 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
             manoeuvres=lambda: manoeuvres(space, airframe),
             provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
             network=options.network,
+            jobs=options.jobs,
             on_progress=lambda step: progress.advance(0.0, step),
         )
     answer = (

@@ -227,8 +227,9 @@ def drag_model(
     layout = Layout(hidden=hidden)
 
     def loss(xi: Array) -> tuple[float, Array]:
-        error = layout.arrays(xi, state) - wanted
-        return float((error**2).sum()) / _SAMPLES, layout.vjp(xi, state, 2.0 / _SAMPLES * error)
+        value, vjp = layout.with_vjp(xi, state)
+        error = value - wanted
+        return float((error**2).sum()) / _SAMPLES, vjp(2.0 / _SAMPLES * error)
 
     options = {"maxiter": iterations, "maxfun": 2 * iterations}
     end = minimize(loss, layout.initial(rng), jac=True, method="L-BFGS-B", options=options)

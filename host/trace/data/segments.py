@@ -108,3 +108,8 @@ class Segments:
         """Return the segments at `index` (slice, mask or integers)."""
         shared = ("dt_s", "paths", "in_newton", "rate_driven")
         return replace(self, **{k: v[index] for k, v in vars(self).items() if k not in shared})
+
+    def of_flight(self, flight: int, segments: Annotated[np.ndarray, "part"]) -> Segments:
+        """Return segments of one flight, given by their indices, alone with its measured path."""
+        part = self.take(segments)
+        return replace(part, flight=np.zeros_like(part.flight), paths=self.paths[flight : flight + 1])

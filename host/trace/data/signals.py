@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -14,7 +14,7 @@ from trimtab.host.effects import Effect
 from trimtab.host.effects.effect import Signal
 from trimtab.host.effects.unknowns import INERTIA, MOTOR_LAG, THRUST, TORQUE
 from trimtab.host.log import Flight
-from trimtab.host.models.states import battery_of
+from trimtab.host.models.states import States, battery_of, flight_states
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import no_tracking, too_few_poses, too_few_tracking_poses
@@ -65,15 +65,32 @@ class Signals:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class FlightData:
-    """A flight with its signals, which are computed once for a trace."""
+    """A flight with its signals and its states, which are computed once for a trace.
+
+    states: smoothed states by the latency of the poses in s, filled by `states_of`.
+    """
 
     flight: Flight
     signals: Signals
+    states: dict[float, States] = field(default_factory=dict, repr=False)
 
     @classmethod
     def of(cls, flight: Flight) -> FlightData:
         """Return the data of `flight`; raises LogsRefused as `signals` does."""
         return cls(flight=flight, signals=signals(flight))
+
+
+def states_of(flights: Sequence[FlightData], latency_s: float) -> list[States]:
+    """Return the states of the flights, with poses `latency_s` older than stamped.
+
+    Raises TooLittleData if a log lacks a required topic.
+    """
+    fresh = [data for data in flights if latency_s not in data.states]
+    for data, states in zip(
+        fresh, flight_states([each.flight for each in fresh], latency_s=latency_s), strict=True
+    ):
+        data.states[latency_s] = states
+    return [data.states[latency_s] for data in flights]
 
 
 def signals(flight: Flight) -> Signals:

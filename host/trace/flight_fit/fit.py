@@ -21,7 +21,7 @@ import numpy as np
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.flight_fit.loop import ClosedLoop
+from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
 from trimtab.host.trace.flight_fit.whitening import Whitening, autoregression, span_of, usable_bins, whitened
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
@@ -75,18 +75,20 @@ class FlightFit:
 
 
 def whitened_grams(
-    white: Whitening, loop: ClosedLoop, base: Sequence[np.ndarray], slopes: Sequence[np.ndarray]
+    white: Whitening, loop: ClosedLoop, base: Sequence[np.ndarray], slopes: Slopes
 ) -> Annotated[np.ndarray, "flights columns columns"]:
     """Return the Grams of the whitened [residual | slopes].
 
-    base: residual (bins, 12) of each flight, measured minus predicted. slopes: derivatives
-    (parameters, bins, 12) of the prediction of each flight with respect to theta_scaled.
+    base: residual (bins, 12) of each flight, measured minus predicted. slopes: derivatives of the prediction
+    of each flight.
     """
-    grams = []
-    for recording, r, s in zip(loop.recordings, base, slopes, strict=True):
-        columns = whitened(white, np.concatenate([r[None], s]), recording.known)
-        grams.append(columns @ columns.T)
-    return np.stack(grams)
+
+    def gram(index: int) -> np.ndarray:
+        columns = np.concatenate([base[index][None], slopes[index]])
+        columns = whitened(white, columns, loop.recordings[index].known)
+        return columns @ columns.T
+
+    return np.stack(loop.each(gram))
 
 
 def fit_closed_loop(
@@ -135,14 +137,15 @@ def fit_closed_loop(
 def _linear_step(
     loop: ClosedLoop,
     base: Sequence[np.ndarray],
-    slopes: Sequence[np.ndarray],
+    slopes: Slopes,
     order: int,
     theta_scaled: np.ndarray,
     precision: np.ndarray,
     step: np.ndarray,
 ) -> tuple[np.ndarray, np.ndarray, Whitening, np.ndarray]:
     """Return step, covariance, whitening and Grams; the whitening is fitted to the residual after `step`."""
-    residuals = [r - np.tensordot(step, s, 1) for r, s in zip(base, slopes, strict=True)]
+    moved = step.any()
+    residuals = loop.each(lambda i: base[i] - np.tensordot(step, slopes[i], 1) if moved else base[i])
     white = autoregression(residuals, loop.known, order)
     grams = whitened_grams(white, loop, base, slopes)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
@@ -183,11 +186,15 @@ def _line_search(
     residual (bins, 12) of each flight at theta_scaled.
     """
     points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
-    rolled = [np.concatenate([r[None], along]) for r, along in zip(base, loop.residuals(points), strict=True)]
+
+    def along(index: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return the residuals of a flight at the candidates, and their squares once whitened."""
+        r = np.concatenate([base[index][None], r])
+        return r, (whitened(white, r, loop.recordings[index].known) ** 2).sum(1)
+
+    rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
     points = np.column_stack([theta_scaled, points])
-    cost = (precision[:, None] * points**2).sum(0)
-    for recording, r in zip(loop.recordings, rolled, strict=True):
-        cost += (whitened(white, r, recording.known) ** 2).sum(1)
+    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
     return points[:, best], [r[best] for r in rolled]
 
@@ -274,12 +281,13 @@ class FlightFitter:
             ]
         base = [r[0] for r in self.loop.residuals(fit.theta_scaled[:, None])]
         slopes = self.loop.slopes(fit.theta_scaled, fit.effects, base)
-        gram = np.zeros((1 + len(fit.theta_scaled) + points.shape[1],) * 2)
-        for recording, r, s, r_start in zip(
-            self.loop.recordings, base, slopes, self.loop.residuals(points), strict=True
-        ):
-            white = whitened(fit.whitening, np.concatenate([r[None], s, r - r_start]), recording.known)
-            gram += white @ white.T
+
+        def gram_of(index: int, r: np.ndarray) -> np.ndarray:
+            columns = np.concatenate([base[index][None], slopes[index], base[index] - r])
+            white = whitened(fit.whitening, columns, self.loop.recordings[index].known)
+            return white @ white.T
+
+        gram = np.sum(self.loop.with_residuals(points, gram_of), axis=0)
         others = [i for i in range(len(fit.theta_scaled)) if i not in columns]
         precision = self.prior.precision(fit.effects)[others]
         rhs = gram[0, 1:][others] - precision * fit.theta_scaled[others]

@@ -7,19 +7,19 @@ rate and rate integral are compared as means over bins, as telemetry records the
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, TypeVar
 
 import numpy as np
-from scipy.sparse import csr_array
 
+from trimtab.host.base import parallel
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
-from trimtab.host.models.states import States, flight_states
-from trimtab.host.trace.data.signals import FlightData, Signals
+from trimtab.host.models.states import States
+from trimtab.host.trace.data.signals import FlightData, Signals, states_of
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
@@ -28,13 +28,18 @@ from trimtab.host.vehicle import Vehicle
 STABLE = 2.5
 """Greatest |eigenvalue| times step for which RK4 is stable. Modes this fast need not be accurate here."""
 
+_TOGETHER = 8
+"""Most flights that are rolled out together: they fill the SIMD lanes even with one parameter vector."""
+
+Result = TypeVar("Result")
+
 _THETA_STEP = 1e-4
 """Step of the difference quotients, scaled."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class _SettingGroup:
-    """Flights with the same firmware parameters, which are rolled out together.
+class _Batch:
+    """Flights with the same firmware parameters that are rolled out together.
 
     flights: indices of recordings. fine: integration steps in SAMPLE_S. x0, drive, constants: inputs of
     `roll_out`, one column for each flight.
@@ -47,85 +52,144 @@ class _SettingGroup:
     drive: Annotated[np.ndarray, "stages 23 flights"]
     constants: Annotated[np.ndarray, "15 flights"]
 
+    @classmethod
+    def of(cls, phi: Phi, flights: Sequence[int], recordings: Sequence[Recording]) -> _Batch:
+        """Return the batch of the flights with these indices. All recordings are given."""
+        batch = [recordings[index] for index in flights]
+        fine = max(1, math.ceil(phi.stiffness * SAMPLE_S / STABLE))
+        steps = max(recording.bins for recording in batch) * PER_BIN * fine
+        stages = half_steps(0.0, steps, SAMPLE_S / fine)
+        return cls(
+            flights=tuple(flights),
+            phi=phi,
+            fine=fine,
+            x0=np.stack([recording.states.initial(phi) for recording in batch], axis=1),
+            drive=np.stack([_drive(recording.states, stages) for recording in batch], axis=2),
+            constants=np.stack([recording.states.constants for recording in batch], axis=1),
+        )
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Slopes:
+    """Derivatives of the predictions of flights: `slopes[index]` is (parameters, bins, 12).
+
+    They are stored in single precision, which is more accurate than their difference quotients.
+
+    parameters: number of parameters. rows: indices of the parameters in `latest`. latest: derivatives of each
+    flight, (rows, bins, 12). earlier: those of all parameters that have any, from an earlier point; empty if
+    `rows` are all of them.
+    """
+
+    parameters: int
+    rows: Sequence[int]
+    latest: Sequence[np.ndarray]
+    earlier: Slopes | None
+
+    def __getitem__(self, index: int) -> Annotated[np.ndarray, "parameters bins 12"]:
+        latest = self.latest[index]
+        if self.earlier is None:
+            slopes = np.zeros((self.parameters, *latest.shape[1:]))
+        else:
+            slopes = self.earlier[index]
+        slopes[self.rows] = latest
+        return slopes
+
 
 class ClosedLoop:
-    """Closed-loop model phi with the effects of a parameter space, over recordings of whole flights."""
+    """Closed-loop model phi with the effects of a parameter space, over recordings of whole flights.
 
-    def __init__(self, recordings: Sequence[Recording], vehicle: Vehicle, space: ParameterSpace) -> None:
-        self.recordings, self.space = tuple(recordings), space
+    jobs: threads that predict flights.
+    """
+
+    def __init__(
+        self, recordings: Sequence[Recording], vehicle: Vehicle, space: ParameterSpace, *, jobs: int = 1
+    ) -> None:
+        self.recordings, self.space, self.jobs = tuple(recordings), space, jobs
         self._rows = [i for name in space.parts for i in space.owners[name]]
         self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
-        self._slopes: list[np.ndarray] = []
+        self._slopes: Slopes | None = None
         effects = tuple(space.effects[name] for name in space.parts)
         settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
-        for index, recording in enumerate(recordings):
-            settings.setdefault(tuple(sorted((recording.states.parameters or {}).items())), []).append(index)
-        self._groups: list[_SettingGroup] = []
-        for flights in settings.values():
-            group = [recordings[index] for index in flights]
-            phi = Phi(vehicle=vehicle, effects=effects, parameters=group[0].states.parameters)
-            fine = max(1, math.ceil(phi.stiffness * SAMPLE_S / STABLE))
-            steps = max(recording.bins for recording in group) * PER_BIN * fine
-            stages = half_steps(0.0, steps, SAMPLE_S / fine)
-            drives = [_drive(recording.states, stages) for recording in group]
-            self._groups.append(
-                _SettingGroup(
-                    flights=tuple(flights),
-                    phi=phi,
-                    fine=fine,
-                    x0=np.stack([recording.states.initial(phi) for recording in group], axis=1),
-                    drive=np.stack(drives).transpose(1, 2, 0),
-                    constants=np.stack([recording.states.constants for recording in group], axis=1),
-                )
-            )
+        for index in sorted(range(len(recordings)), key=lambda index: recordings[index].bins):
+            parameters = recordings[index].states.parameters or {}
+            settings.setdefault(tuple(sorted(parameters.items())), []).append(index)
+        self._batches: list[_Batch] = []
+        for indices in settings.values():
+            phi = Phi(vehicle=vehicle, effects=effects, parameters=recordings[indices[0]].states.parameters)
+            size = min(max(1, math.ceil(len(indices) / jobs)), _TOGETHER)
+            batches = [indices[k : k + size] for k in range(0, len(indices), size)]
+            self._batches += [_Batch.of(phi, batch, recordings) for batch in batches]
 
     @property
     def known(self) -> list[np.ndarray]:
         """Masks (bins,), one for each flight, of the bins in which all channels were measured."""
         return [recording.known for recording in self.recordings]
 
-    def predicted(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
-        """Return predicted bin means (lanes, bins, 12) for each flight at theta_scaled.
+    def each(self, work: Callable[[int], Result]) -> list[Result]:
+        """Return `work` of the index of every flight."""
+        return parallel.each(work, range(len(self.recordings)), self.jobs)
+
+    def with_predictions(
+        self,
+        theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+        work: Callable[[int, np.ndarray], Result],
+    ) -> list[Result]:
+        """Return `work` of the index of each flight and its predicted bin means (lanes, bins, 12).
 
         The channels are those of `Recording.measured`.
         """
         lanes = theta_scaled.shape[1]
         theta = self.space.values(theta_scaled)[self._rows]
-        parts = [self._groups[0].phi.parts(theta[:, lane]) for lane in range(lanes)]
-        latency_s = np.array([float(latency_of(NUMPY, each)) for each in parts])
-        predictions: dict[int, np.ndarray] = {}
-        for group in self._groups:
-            count = len(group.flights)
+        latency = np.asarray(latency_of(NUMPY, self._batches[0].phi.parts(theta)))
+        latency_s = np.broadcast_to(latency, (lanes,))
+
+        def predict(batch: _Batch) -> list[tuple[int, Result]]:
+            count = len(batch.flights)
             samples = roll_out(
-                group.phi,
-                x0=np.repeat(group.x0, lanes, axis=1),
-                drive=group.drive,
-                flight=group.constants,
+                batch.phi,
+                x0=np.repeat(batch.x0, lanes, axis=1),
+                drive=batch.drive,
+                flight=batch.constants,
                 theta=np.tile(theta, (1, count)),
-                step_s=SAMPLE_S / group.fine,
-                every=group.fine,
+                step_s=SAMPLE_S / batch.fine,
+                every=batch.fine,
                 lane_flight=np.repeat(np.arange(count), lanes),
                 rows=INTEGRAL.stop,
                 compiled=True,
-            ).reshape(-1, INTEGRAL.stop, count, lanes)
-            for k, index in enumerate(group.flights):
+            )
+            results = []
+            for k, index in enumerate(batch.flights):
                 recording = self.recordings[index]
-                flight_samples = samples[: recording.bins * PER_BIN + 1, :, k]
-                predictions[index] = _means(recording, flight_samples, latency_s)
-        return [predictions[index] for index in range(len(self.recordings))]
+                of_flight = samples[: recording.bins * PER_BIN + 1, :, k * lanes : (k + 1) * lanes]
+                results.append((index, work(index, _means(recording, of_flight, latency_s))))
+            return results
 
-    def residuals(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
-        """Return residuals (lanes, bins, 12), measured minus predicted, for each flight.
+        batches = parallel.each(predict, self._batches, self.jobs)
+        results = dict(result for batch in batches for result in batch)
+        return [results[index] for index in range(len(self.recordings))]
 
-        Position is resolved along the heading, attitude in FRD. The body-rate residual has its mean over the
-        flight removed.
+    def with_residuals(
+        self,
+        theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+        work: Callable[[int, np.ndarray], Result],
+    ) -> list[Result]:
+        """Return `work` of the index of each flight and its residual (lanes, bins, 12).
+
+        The residual is measured minus predicted. Position is resolved along the heading, attitude in FRD. The
+        body-rate residual has its mean over the flight removed.
         """
-        out = []
-        for recording, predicted in zip(self.recordings, self.predicted(theta_scaled), strict=True):
+
+        def compare(index: int, predicted: np.ndarray) -> Result:
+            recording = self.recordings[index]
             r = recording.measured - predicted
             r[..., 5] = np.angle(np.exp(1j * r[..., 5]))
-            out.append(_in_body(recording, r))
-        return out
+            return work(index, _in_body(recording, r))
+
+        return self.with_predictions(theta_scaled, compare)
+
+    def residuals(self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]) -> list[np.ndarray]:
+        """Return the residual (lanes, bins, 12) of each flight."""
+        return self.with_residuals(theta_scaled, lambda _, r: r)
 
     def slopes(
         self,
@@ -134,8 +198,8 @@ class ClosedLoop:
         base: Sequence[np.ndarray],
         *,
         afresh: bool = False,
-    ) -> list[np.ndarray]:
-        """Return the derivatives (parameters, bins, 12) of the prediction of each flight at theta_scaled.
+    ) -> Slopes:
+        """Return the derivatives of the prediction of each flight with respect to theta_scaled.
 
         They are the negative derivatives of the residual, measured minus predicted.
 
@@ -156,23 +220,30 @@ class ClosedLoop:
             Whether to compute all slopes again.
         """
         updated = {i for name in effects for i in self.space.groups[name]} | self._products
-        rows = [i for i in self._rows if afresh or not self._slopes or i in updated]
+        rows = [i for i in self._rows if afresh or self._slopes is None or i in updated]
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _THETA_STEP
-        perturbed = self.residuals(lanes) if rows else [np.empty((0, *r.shape)) for r in base]
-        if not self._slopes:
-            self._slopes = [np.zeros((len(theta_scaled), *r.shape)) for r in base]
-        slopes = [cached.copy() for cached in self._slopes]
+
+        def slopes_of(index: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+            """Return the slopes of a flight, and the squares of its perturbed residuals."""
+            return ((base[index] - r) / _THETA_STEP).astype(np.float32), np.square(r).sum((1, 2))
+
+        if rows:
+            slopes, squares = zip(*self.with_residuals(lanes, slopes_of), strict=True)
+        else:
+            slopes, squares = [np.empty((0, *r.shape)) for r in base], np.zeros((1, 0))
         sizes = np.zeros(1 + len(theta_scaled))
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
-        sizes[[1 + row for row in rows]] = sum(np.square(r).sum((1, 2)) for r in perturbed)
+        sizes[[1 + row for row in rows]] = np.sum(squares, axis=0)
         self.space.check_finite(sizes)
-        for slope, r, r_perturbed in zip(slopes, base, perturbed, strict=True):
-            slope[rows] = (r - r_perturbed) / _THETA_STEP
-        if len(rows) == len(self._rows):
-            self._slopes = slopes
-        return slopes
+        whole = len(rows) == len(self._rows)
+        result = Slopes(
+            parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if whole else self._slopes
+        )
+        if whole:
+            self._slopes = result
+        return result
 
 
 def _drive(states: States, stages: np.ndarray) -> np.ndarray:
@@ -199,7 +270,7 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
     for late in np.unique(latency_s):
         mine = latency_s == late
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
-        mean = _pose_means(recording, float(late), len(samples)) @ poses
+        mean = recording.poses @ (interpolation(recording.pose_s - late, len(samples)) @ poses)
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
     for channels, columns, telemetry in (
         (slice(6, 9), slice(9, 12), recording.rates),
@@ -208,17 +279,6 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
         mean = telemetry @ samples[:, columns].reshape(len(samples), -1)
         out[:, :, channels] = mean.reshape(bins, 3, lanes).transpose(2, 0, 1)
     return out
-
-
-def _pose_means(recording: Recording, latency_s: float, count: int) -> csr_array:
-    """Return the matrix (bins, count) that maps `count` samples to the mean over the poses of each bin.
-
-    Samples are SAMPLE_S apart. Each pose shows the state `latency_s` before its stamp.
-    """
-    poses = np.maximum(np.bincount(recording.pose_bin, minlength=recording.bins), 1)
-    each = (1.0 / poses[recording.pose_bin], (recording.pose_bin, np.arange(len(recording.pose_bin))))
-    mean = csr_array(each, shape=(recording.bins, len(recording.pose_bin)))
-    return mean @ interpolation(recording.pose_s - latency_s, count)
 
 
 def _in_body(recording: Recording, r: np.ndarray) -> np.ndarray:
@@ -245,16 +305,19 @@ def closed_loop(
     vehicle: Vehicle,
     space: ParameterSpace,
     theta_scaled: Annotated[np.ndarray, "parameters"],
+    *,
+    jobs: int = 1,
 ) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    theta_scaled: scaled parameters that give the pose latency. Raises TooLittleData if a log lacks a
-    required topic.
+    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Raises
+    TooLittleData if a log lacks a required topic.
     """
     values = space.by_owner(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
-    states = flight_states([data.flight for data in flights], latency_s=latency_s)
-    return ClosedLoop([record(*each) for each in zip(flights, states, strict=True)], vehicle, space)
+    states = states_of(flights, latency_s)
+    recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
+    return ClosedLoop(recordings, vehicle, space, jobs=jobs)
 
 
 def tracking_time_and_extent(flights: Sequence[FlightData]) -> tuple[float, float]:

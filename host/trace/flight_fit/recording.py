@@ -33,8 +33,10 @@ class Recording:
     ----------
     states
         Initial state, control law and constants of the flight.
-    pose_s, pose_bin
-        Stamps in s since the start of the reference, and bin, of each pose.
+    pose_s
+        Stamps in s since the start of the reference of each pose.
+    poses
+        Matrix (bins, poses) of the means over the poses of each bin.
     measured
         Bin values, three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
         integral FRD. The rate integral is the value in the middle of the bin; the others are means.
@@ -48,7 +50,7 @@ class Recording:
 
     states: States
     pose_s: Annotated[np.ndarray, "poses"]
-    pose_bin: Annotated[np.ndarray, "poses"]
+    poses: csr_array
     measured: Annotated[np.ndarray, "bins 12"]
     known: Annotated[np.ndarray, "bins"]
     rates: csr_array
@@ -87,7 +89,10 @@ def record(data: FlightData, states: States) -> Recording:
     return Recording(
         states=states,
         pose_s=t[inside],
-        pose_bin=pose_bin,
+        poses=csr_array(
+            (1.0 / np.maximum(count, 1)[pose_bin], (pose_bin, np.arange(len(pose_bin)))),
+            shape=(bins, len(pose_bin)),
+        ),
         measured=np.column_stack(
             [
                 sums / np.maximum(count, 1)[:, None],
@@ -168,9 +173,8 @@ def interpolation(t_s: Annotated[np.ndarray, "times"], samples: int) -> csr_arra
             (u + 1.0) * u * (u - 1.0) / 6.0,
         ]
     )
-    rows = np.repeat(np.arange(len(t)), 4)
     columns = (k[:, None] + np.arange(-1, 3)).ravel()
-    return csr_array((weights.ravel(), (rows, columns)), shape=(len(t), samples))
+    return csr_array((weights.ravel(), columns, 4 * np.arange(len(t) + 1)), shape=(len(t), samples))
 
 
 def _euler(R: np.ndarray) -> np.ndarray:

@@ -107,7 +107,11 @@ def whitened(
     known: mask. There are 12 innovations for each bin that `usable_bins` returns.
     """
     usable = usable_bins(known, white.span)
-    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation))
-    out = columns[:, usable] @ whiten.T
-    out -= _past(columns, white.order)[:, usable] @ (white.coefficients @ whiten.T)
-    return out.reshape(len(columns), -1)
+    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation)).T
+    out = columns @ whiten
+    for i, (first, last) in enumerate(WINDOWS[: white.order]):
+        window = white.coefficients[i * CHANNELS : (i + 1) * CHANNELS] / (last - first + 1)
+        predicted = columns @ (window @ whiten)
+        for lag in range(first, last + 1):
+            out[:, lag:] -= predicted[:, :-lag]
+    return out[:, usable].reshape(len(columns), -1)

@@ -17,7 +17,7 @@ from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, RUN_UP_LAGS, SEGMENT_S
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.evidence import DisturbanceVariances
+from trimtab.host.trace.linearisation import DisturbanceVariances
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
@@ -109,16 +109,21 @@ def information(
     count = len(data.flight)
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
-    part, nuisances = data.take(rolled), np.zeros((1, NUISANCES))
+    part, nuisances = data.take(rolled), np.zeros((len(rolled), NUISANCES))
     part = _kept_on_path(segment_model, part, theta_scaled)
+    # Each rolled-out segment is a flight of its own here, so that its Gram can stand for its neighbours'.
+    part = replace(part, flight=np.arange(len(rolled)), paths=np.repeat(part.paths, len(rolled), axis=0))
     basis = linearise.basis(segment_model, part, theta_scaled, nuisances)
-    lin = linearise.project(
-        linearise.linearise(segment_model, part, theta_scaled, nuisances, basis),
-        part,
-        theta_scaled,
-        nuisances,
+    lin, _ = linearise.linearise(segment_model, part, theta_scaled, nuisances, basis)
+    lin = replace(
+        lin,
+        own=lin.own[nearest],
+        square=lin.square[nearest],
+        cross=lin.cross[nearest],
+        piece=np.arange(count),
+        piece_flight=data.flight,
+        nuisances=nuisances[:1],
     )
-    lin = replace(lin, gram=lin.gram[nearest], flight=data.flight)
     return evidence.marginal_grams(lin, instruments.process, segment_model.space.prior).gram[1:, 1:]
 
 

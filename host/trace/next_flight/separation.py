@@ -184,8 +184,7 @@ def _flown_information(segment_model: SegmentModel, fit: SegmentFit, theta_scale
     """Return the information (parameters, parameters) of the fitted flights, at theta_scaled."""
     lin = fit.lin
     if not np.array_equal(theta_scaled, fit.theta_scaled):
-        grams = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)
-        lin = linearise.project(grams, fit.data, theta_scaled, fit.nuisances)
+        lin, _ = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)
     return evidence.marginal_grams(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
 
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation, Prior
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 from trimtab.host.trace.segment_fit import linearise
@@ -164,7 +165,8 @@ def refit(
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
-            lin, data = _linearised(segment_model, data, theta_scaled, nuisances, basis)
+            lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
+            data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.marginal_grams(lin, process, prior)
         step, covariance = evidence.bounded_step(white.gram, theta_scaled, precision, space.bounds)
@@ -197,15 +199,6 @@ def refit(
     )
 
 
-def _linearised(
-    segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, nuisances: np.ndarray, basis: Basis
-) -> tuple[Linearisation, Segments]:
-    """Return the linearisation at a point, and the segments with the initial states fitted there."""
-    grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
-    data = data.with_x0(grams.x0)
-    return linearise.project(grams, data, theta_scaled, nuisances), data
-
-
 def at_parameters(
     segment_model: SegmentModel,
     start: SegmentFit,
@@ -233,9 +226,8 @@ def at_parameters(
     """
     prior, data, nuisances, process = segment_model.space.prior, start.data, start.nuisances, start.process
     for last in (False, True):
-        grams = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
-        data = data.with_x0(grams.x0)
-        lin = linearise.project(grams, data, theta_scaled, nuisances)
+        lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
+        data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         nuisance_step = evidence.nuisance_step(
             lin, evidence.marginal_grams(lin, process, prior), prior, np.zeros(len(theta_scaled))

@@ -8,21 +8,30 @@ program of `trimtab.host.trace.segment_fit.model`.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-from typing import Annotated
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Annotated, TypeVar
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from trimtab.host.base import parallel
 from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
-from trimtab.host.trace.evidence import Linearisation
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.linearisation import Linearisation, Reduced, reduced
 from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
-_LANES = 2500
-"""Lanes that are rolled out together."""
+Result = TypeVar("Result")
+
+_STORED = 400
+"""Segments whose columns of the basis are stored, which take about 130 MB."""
+
+_PART = 32
+"""Segments of a flight that are rolled out together."""
+
 _X_STEP = np.full(STATES, 1e-6)
 TURN_STEPS = 6
 """Steps between the poses that give a body rate. More average attitude noise, fewer follow fast turns."""
@@ -39,54 +48,77 @@ look like information."""
 class Basis:
     """Columns of the Jacobian that hardly depend on the parameters and are reused between refits.
 
-    columns, in units of sigma: 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin.
-    gram: their Gram.
+    Those of the first flights are stored. Those of all of many flights would fill the memory, so the others
+    are rolled out again when they are needed, which gives the same bits.
+
+    theta_scaled, nuisances: scaled parameters, and nuisances of each flight. x0, disturbance_frd: initial
+    states and disturbance of the segments. memory: of `remembered` there.
     """
 
-    columns: Annotated[np.ndarray, "segments unknowns residuals"]
-    gram: Annotated[np.ndarray, "segments unknowns unknowns"]
-
-    @property
-    def x(self) -> Annotated[np.ndarray, "segments 12 residuals"]:
-        """Columns of the initial state."""
-        return self.columns[:, :STATES]
-
-    @property
-    def bins(self) -> Annotated[np.ndarray, "segments disturbances residuals"]:
-        """Columns of the disturbance."""
-        return self.columns[:, STATES + NUISANCES :]
-
-
-@dataclass(frozen=True, kw_only=True)
-class Grams:
-    """Grams of every segment before initial states are projected out.
-
-    gram: of [r | S | X | L | Z], with columns S of parameters, 12 columns X of the initial state, 9 columns L
-    of nuisances and, for each bin, 6 columns Z of the disturbance. x0: initial states of the linearisation.
-    parameters: number of columns S.
-    """
-
-    gram: Annotated[np.ndarray, "segments all_columns all_columns"]
+    theta_scaled: Annotated[np.ndarray, "parameters"]
+    nuisances: Annotated[np.ndarray, "flights 9"]
     x0: Annotated[np.ndarray, "segments 12"]
-    parameters: int
+    disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
+    memory: Annotated[np.ndarray, "memory 1 segments"]
+    _stored: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+
+    def columns(
+        self,
+        segment_model: SegmentModel,
+        part: Segments,
+        segments: Annotated[np.ndarray, "part"],
+        flight: int,
+    ) -> Annotated[np.ndarray, "part unknowns residuals"]:
+        """Return the columns of some segments of a flight, in units of sigma.
+
+        They are 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin. part: the
+        segments with the indices `segments`.
+        """
+        key = int(segments[0])
+        columns = self._stored.get(key)
+        if columns is None:
+            columns = self._taken(segment_model, part, segments, flight)
+            if segments[-1] < _STORED:
+                self._stored[key] = columns
+        return columns
+
+    def _taken(
+        self, segment_model: SegmentModel, part: Segments, segments: np.ndarray, flight: int
+    ) -> np.ndarray:
+        """Return the columns of some segments, rolled out."""
+        part = part.with_x0(self.x0[segments]).with_w(self.disturbance_frd[segments])
+        memory = self.memory[:, :, segments]
+        count = 1 + STATES + NUISANCES + 6 * part.bins
+        lanes = _Lanes(part, part.x0, self.theta_scaled, self.nuisances[flight], memory, count)
+        lanes.steps[1:] = np.concatenate([_X_STEP, _NUISANCE_STEP, np.tile(_BIN_STEP, part.bins)])
+        for i in range(STATES):
+            lanes.x0[i, 1 + i] += _X_STEP[i]
+        first = 1 + STATES
+        for i in range(NUISANCES):
+            lanes.nuisances[i, first + i] += _NUISANCE_STEP[i]
+        first += NUISANCES
+        for b in range(part.bins):
+            for i in range(6):
+                lanes.bins[b, i, first + 6 * b + i] = _BIN_STEP[i]
+        return lanes.jacobian(segment_model, part, bins=True)[:, 1:]
 
 
 class _Lanes:
-    """`count` lanes of every segment that start at one point, to be perturbed one by one."""
+    """`count` lanes of every segment of a flight that start at one point, to be perturbed one by one."""
 
     def __init__(
         self,
         data: Segments,
         x0: Annotated[np.ndarray, "segments 12"],
         theta_scaled: Annotated[np.ndarray, "parameters"],
-        nuisances: Annotated[np.ndarray, "flights 9"],
+        nuisances: Annotated[np.ndarray, "9"],
         memory: Annotated[np.ndarray, "memory _ segments"],
         count: int,
     ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
         self.theta_scaled = np.repeat(theta_scaled[:, None], count, axis=1)
         self.memory = np.broadcast_to(memory, (len(memory), count, len(data.flight)))
-        self.nuisances = np.repeat(nuisances[data.flight].T[:, None, :], count, axis=1)
+        self.nuisances = np.broadcast_to(nuisances[:, None, None], (NUISANCES, *self.x0.shape[1:])).copy()
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
@@ -107,40 +139,39 @@ class _Lanes:
         return np.swapaxes(A, 0, 1)
 
 
-def _chunks(data: Segments, lanes: int) -> list[slice]:
-    """Return slices of segments that need about _LANES lanes each, if a segment needs `lanes`."""
-    size = max(1, _LANES // lanes)
-    return [slice(i, i + size) for i in range(0, len(data.flight), size)]
-
-
 def basis(
     segment_model: SegmentModel,
     data: Segments,
     theta_scaled: Annotated[np.ndarray, "parameters"],
     nuisances: Annotated[np.ndarray, "flights 9"],
 ) -> Basis:
-    """Return the basis at scaled parameters and nuisances."""
-    count = 1 + STATES + NUISANCES + 6 * data.bins
-    memory = remembered(segment_model, data, theta_scaled[:, None])
+    """Return the basis at scaled parameters, nuisances and the initial states and disturbance of `data`."""
+    return Basis(
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+        x0=data.x0,
+        disturbance_frd=data.disturbance_frd,
+        memory=remembered(segment_model, data, theta_scaled[:, None]),
+    )
+
+
+def _each_part(
+    segment_model: SegmentModel, data: Segments, work: Callable[[Segments, np.ndarray, int], Result]
+) -> list[Result]:
+    """Return `work` of parts of the data, their indices (segments,) and the index of their flight.
+
+    A part holds up to _PART segments of one flight, in order.
+    """
     parts = []
-    for chunk in _chunks(data, count):
-        part = data.take(chunk)
-        lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory[:, :, chunk], count)
-        for i in range(STATES):
-            lanes.steps[1 + i] = _X_STEP[i]
-            lanes.x0[i, 1 + i] += _X_STEP[i]
-        first = 1 + STATES
-        for i in range(NUISANCES):
-            lanes.steps[first + i] = _NUISANCE_STEP[i]
-            lanes.nuisances[i, first + i] += lanes.steps[first + i]
-        first += NUISANCES
-        for b in range(data.bins):
-            for i in range(6):
-                lanes.steps[first + 6 * b + i] = _BIN_STEP[i]
-                lanes.bins[b, i, first + 6 * b + i] = lanes.steps[first + 6 * b + i]
-        parts.append(lanes.jacobian(segment_model, part, bins=True)[:, 1:])
-    whole = np.concatenate(parts)
-    return Basis(columns=whole, gram=whole @ np.swapaxes(whole, 1, 2))
+    for flight in np.unique(data.flight).tolist():
+        segments = np.flatnonzero(data.flight == flight)
+        parts += [(segments[i : i + _PART], flight) for i in range(0, len(segments), _PART)]
+
+    def of(part: tuple[np.ndarray, int]) -> Result:
+        segments, flight = part
+        return work(data.of_flight(flight, segments), segments, flight)
+
+    return parallel.each(of, parts, segment_model.jobs)
 
 
 def disturbance_from_measured_rotation(
@@ -198,7 +229,6 @@ def fitted_x0(
     nuisances: Annotated[np.ndarray, "flights 9"],
     basis: Basis,
     iterations: int = 1,
-    memory: Annotated[np.ndarray, "memory 1 segments"] | None = None,
 ) -> Annotated[np.ndarray, "segments 12"]:
     """Return the initial states that fit the measurements of each segment best.
 
@@ -216,21 +246,39 @@ def fitted_x0(
         Columns of the Jacobian.
     iterations
         Number of Gauss-Newton steps.
-    memory
-        States of the effects at the start of each segment; computed by `remembered` if None.
     """
-    x0 = data.x0
-    if memory is None:
-        memory = remembered(segment_model, data, theta_scaled[:, None])
-    normal = basis.gram[:, :STATES, :STATES] + 1e-9 * np.eye(STATES)
-    for _ in range(iterations):
-        residual = []
-        for chunk in _chunks(data, 1):
-            part = data.take(chunk)
-            lanes = _Lanes(part, x0[chunk], theta_scaled, nuisances, memory[:, :, chunk], 1)
-            residual.append(lanes.jacobian(segment_model, part, bins=False)[:, 0])
-        x0 = x0 + np.linalg.solve(normal, basis.x @ np.concatenate(residual)[:, :, None])[:, :, 0]
+    x0 = data.x0.copy()
+    memory = remembered(segment_model, data, theta_scaled[:, None])
+
+    def fit(part: Segments, segments: np.ndarray, flight: int) -> None:
+        states = basis.columns(segment_model, part, segments, flight)[:, :STATES]
+        for _ in range(iterations):
+            x = _stepped_x0(
+                segment_model, part, theta_scaled, nuisances[flight], states, memory[:, :, segments]
+            )
+            part = part.with_x0(x)
+        x0[segments] = part.x0
+
+    _each_part(segment_model, data, fit)
     return x0
+
+
+def _stepped_x0(
+    segment_model: SegmentModel,
+    part: Segments,
+    theta_scaled: np.ndarray,
+    nuisances: np.ndarray,
+    states: np.ndarray,
+    memory: np.ndarray,
+) -> np.ndarray:
+    """Return the initial states (segments, 12) after a Gauss-Newton step towards the measurements.
+
+    states: columns (segments, 12, residuals) of the initial state. memory: of `remembered`.
+    """
+    lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory, 1)
+    residual = lanes.jacobian(segment_model, part, bins=False)[:, 0]
+    normal = states @ np.swapaxes(states, 1, 2) + 1e-9 * np.eye(STATES)
+    return part.x0 + np.linalg.solve(normal, states @ residual[:, :, None])[:, :, 0]
 
 
 def linearise(
@@ -239,59 +287,70 @@ def linearise(
     theta_scaled: Annotated[np.ndarray, "parameters"],
     nuisances: Annotated[np.ndarray, "flights 9"],
     basis: Basis,
-) -> Grams:
-    """Return the Grams of all segments at scaled parameters and nuisances.
+) -> tuple[Linearisation, Annotated[np.ndarray, "segments 12"]]:
+    """Return the linearisation at scaled parameters and nuisances, and its initial states.
 
-    The initial states first take one Gauss-Newton step towards the measurements of their segment. basis:
-    columns of the Jacobian that are not computed again.
+    The initial states first take one Gauss-Newton step towards the measurements of their segment. Then they
+    are projected out, since they are free. basis: gives the columns that are not taken at this point.
     """
     count = 1 + len(theta_scaled)
     points = np.repeat(theta_scaled[:, None], count, axis=1)
     points[:, 1:] += _THETA_STEP * np.eye(len(theta_scaled))
+    piece, piece_flight = _pieces(data.flight, len(nuisances))
     memory = remembered(segment_model, data, points)
-    x0 = fitted_x0(segment_model, data, theta_scaled, nuisances, basis, memory=memory[:, :1])
-    first = 1 + len(theta_scaled)
-    size = first + basis.columns.shape[1]
-    gram = np.empty((len(data.flight), size, size))
-    gram[:, first:, first:] = basis.gram
-    for chunk in _chunks(data, count):
-        part = data.take(chunk)
-        lanes = _Lanes(part, x0[chunk], theta_scaled, nuisances, memory[:, :, chunk], count)
+    x0 = data.x0.copy()
+
+    def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[Reduced, np.ndarray]:
+        columns = basis.columns(segment_model, part, segments, flight)
+        states, starts = columns[:, :STATES], memory[:, :, segments]
+        x0[segments] = _stepped_x0(
+            segment_model, part, theta_scaled, nuisances[flight], states, starts[:, :1]
+        )
+        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, count)
         lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
         A = lanes.jacobian(segment_model, part, bins=False)
-        columns = basis.columns[chunk]
-        A[:, 0] += np.einsum(
-            "szn,sz->sn", basis.bins[chunk], part.disturbance_frd.reshape(len(part.disturbance_frd), -1)
-        )
-        gram[chunk, :first, :first] = A @ np.swapaxes(A, 1, 2)
-        gram[chunk, :first, first:] = A @ np.swapaxes(columns, 1, 2)
-    segment_model.space.check_finite(np.einsum("sii->i", gram[:, :first, :first]))
-    gram[:, first:, :first] = np.swapaxes(gram[:, :first, first:], 1, 2)
-    return Grams(gram=gram, x0=x0, parameters=len(theta_scaled))
+        w = part.disturbance_frd.reshape(len(segments), 1, -1)
+        A[:, 0] += (w @ columns[:, STATES + NUISANCES :])[:, 0]
+        sizes = np.einsum("spn,spn->p", A, A)
+        A = np.concatenate([A, columns], axis=1)
+        gram = _without_x0(A @ np.swapaxes(A, 1, 2), count)
+        return reduced(gram, count + NUISANCES, piece[segments]), sizes
+
+    parts, sizes = zip(*_each_part(segment_model, data, reduce), strict=True)
+    segment_model.space.check_finite(np.sum(sizes, axis=0))
+    linearisation = Linearisation.of(
+        parts,
+        piece=piece,
+        piece_flight=piece_flight,
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+        jobs=segment_model.jobs,
+    )
+    return linearisation, x0
 
 
-def project(
-    grams: Grams,
-    data: Segments,
-    theta_scaled: Annotated[np.ndarray, "parameters"],
-    nuisances: Annotated[np.ndarray, "flights 9"],
-) -> Linearisation:
-    """Return the linearisation with the initial state of every segment projected out, since it is free.
+def _pieces(flight: np.ndarray, flights: int) -> tuple[np.ndarray, np.ndarray]:
+    """Return the index of the piece of each segment, and of the flight of each piece.
 
-    theta_scaled, nuisances: point of the linearisation.
+    A flight is one piece, or is cut into RULES.jackknife_pieces if there are fewer flights than that.
     """
-    gram = grams.gram
-    first = 1 + grams.parameters
+    if flights >= RULES.jackknife_pieces:
+        return flight, np.arange(flights)
+    part = np.empty(len(flight), dtype=int)
+    for index in range(flights):
+        segments = np.flatnonzero(flight == index)
+        part[segments] = np.arange(len(segments)) * RULES.jackknife_pieces // max(len(segments), 1)
+    ids, piece = np.unique(flight * RULES.jackknife_pieces + part, return_inverse=True)
+    return piece, ids // RULES.jackknife_pieces
+
+
+def _without_x0(gram: np.ndarray, first: int) -> np.ndarray:
+    """Return Grams (segments, n, n) with the columns of the initial state, from `first` on, projected out."""
     states, others = np.arange(first, first + STATES), np.r_[0:first, first + STATES : gram.shape[1]]
     A = gram[:, states[:, None], states]
     scale = np.sqrt(np.einsum("sii->si", A)) + 1e-12
     A = A / scale[:, :, None] / scale[:, None, :] + 1e-10 * np.eye(STATES)
     C = gram[:, states[:, None], others] / scale[:, :, None]
     B = gram[:, others[:, None], others]
-    return Linearisation(
-        gram=B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C),
-        flight=data.flight,
-        theta_scaled=theta_scaled,
-        nuisances=nuisances,
-    )
+    return B - np.swapaxes(C, 1, 2) @ np.linalg.solve(A, C)

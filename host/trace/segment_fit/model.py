@@ -58,10 +58,19 @@ class SegmentModel:
         Whether commands are rotor thrusts in N, not motor commands.
     rate_driven
         Whether the measured body rate drives the attitude instead of the commanded torque.
+    jobs
+        Threads that work on flights.
     """
 
     def __init__(
-        self, vehicle: Vehicle, space: ParameterSpace, *, dt_s: float, in_newton: bool, rate_driven: bool
+        self,
+        vehicle: Vehicle,
+        space: ParameterSpace,
+        *,
+        dt_s: float,
+        in_newton: bool,
+        rate_driven: bool,
+        jobs: int = 1,
     ) -> None:
         self.vehicle = vehicle
         self.space = space
@@ -69,22 +78,23 @@ class SegmentModel:
         self.in_newton = in_newton
         self.rate_driven = rate_driven
         self.memory = slots.memory_size(space.effects[name] for name in space.parts)
-        self._bound: dict[tuple[str, int], Batch] = {}
+        self.jobs = jobs
 
     @classmethod
-    def of(cls, vehicle: Vehicle, space: ParameterSpace, data: Segments) -> SegmentModel:
-        """Return the model that predicts `data`."""
-        return cls(vehicle, space, dt_s=data.dt_s, in_newton=data.in_newton, rate_driven=data.rate_driven)
+    def of(cls, vehicle: Vehicle, space: ParameterSpace, data: Segments, *, jobs: int = 1) -> SegmentModel:
+        """Return the model that predicts `data`, with `jobs` threads."""
+        return cls(
+            vehicle,
+            space,
+            dt_s=data.dt_s,
+            in_newton=data.in_newton,
+            rate_driven=data.rate_driven,
+            jobs=jobs,
+        )
 
     def bind(self, name: str, lanes: int) -> Batch:
-        """Return a program with arrays for `lanes` lanes; calls with the same arguments share the arrays.
-
-        name: "step", "rotors" or "memory".
-        """
-        key = name, lanes
-        if key not in self._bound:
-            self._bound[key] = Batch(self._programs[name], lanes, compiled=name == "memory")
-        return self._bound[key]
+        """Return a program with arrays for `lanes` lanes. name: "step", "rotors" or "memory"."""
+        return Batch(self._programs[name], lanes, compiled=True)
 
     def memory_of(self, owner: str) -> int:
         """Return the number of states that the effect `owner` adds; 0 if the owner is not an effect."""

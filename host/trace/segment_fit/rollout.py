@@ -6,8 +6,12 @@ from typing import Annotated
 
 import numpy as np
 
+from trimtab.host.base import parallel
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.segment_fit.model import CHANNELS, NUISANCES, STATES, SegmentModel
+
+_TOGETHER = 16
+"""Flights along which the states of effects are integrated together."""
 
 
 def roll_out(
@@ -131,34 +135,53 @@ def remembered(
     distinct, lane = np.unique(theta_scaled[columns], axis=1, return_inverse=True)
     values = np.repeat(theta_scaled[:, :1], distinct.shape[1], axis=1)
     values[columns] = distinct
-    flights, steps = data.paths.shape[:2]
-    program = segment_model.bind("memory", flights * distinct.shape[1])
-    program.inputs["z"][:] = np.repeat(values, flights, axis=1)
+    out = np.empty((segment_model.memory, theta_scaled.shape[1], len(data.flight)))
+
+    def integrate(flights: np.ndarray) -> None:
+        segments = np.flatnonzero(np.isin(data.flight, flights))
+        states = _along_paths(segment_model, values, data.paths[flights])
+        position = data.path_start_s[segments] / PATH_S
+        low = np.clip(position.astype(int), 0, len(states) - 2)
+        share = np.clip(position - low, 0.0, 1.0)[:, None]
+        flight = np.searchsorted(flights, data.flight[segments])
+        before, after = (states[low + end, :, :, flight] for end in (0, 1))
+        starts = (1.0 - share[..., None]) * before + share[..., None] * after
+        out[:, :, segments] = np.moveaxis(starts[:, :, lane], 0, 2)
+
+    together = np.split(np.arange(len(data.paths)), np.arange(_TOGETHER, len(data.paths), _TOGETHER))
+    parallel.each(integrate, together, segment_model.jobs)
+    return out
+
+
+def _along_paths(
+    segment_model: SegmentModel,
+    theta_scaled: Annotated[np.ndarray, "parameters lanes"],
+    paths: Annotated[np.ndarray, "flights steps 12"],
+) -> Annotated[np.ndarray, "steps memory lanes flights"]:
+    """Return the states of the effects along the measured paths, every PATH_S."""
+    flights, steps = paths.shape[:2]
+    lanes = theta_scaled.shape[1]
+    program = segment_model.bind("memory", flights * lanes)
+    program.inputs["z"][:] = np.repeat(theta_scaled, flights, axis=1)
     body = program.inputs["body"].reshape(STATES, -1, flights)
     memory = program.inputs["memory"]
     acceleration = program.inputs["acceleration"].reshape(3, -1, flights)
-    body[:] = data.paths[:, 0].T[:, None]
+    body[:] = paths[:, 0].T[:, None]
     program()
     now = program.outputs["rest"].copy()
-    states = np.empty((steps, segment_model.memory, distinct.shape[1], flights))
+    states = np.empty((steps, segment_model.memory, lanes, flights))
     for k in range(steps):
         states[k] = now.reshape(states.shape[1:])
         memory[:] = now
-        after = data.paths[:, min(k + 1, steps - 1)]
-        body[:] = data.paths[:, k].T[:, None]
-        acceleration[:] = (after - data.paths[:, k])[:, 3:6].T[:, None] / PATH_S
+        after = paths[:, min(k + 1, steps - 1)]
+        body[:] = paths[:, k].T[:, None]
+        acceleration[:] = (after - paths[:, k])[:, 3:6].T[:, None] / PATH_S
         program()
         memory[:] = now + 0.5 * PATH_S * program.outputs["rates"]
-        body[:] = 0.5 * (data.paths[:, k] + after).T[:, None]
+        body[:] = 0.5 * (paths[:, k] + after).T[:, None]
         program()
         now = now + PATH_S * program.outputs["rates"]
-    position = data.path_start_s / PATH_S
-    low = np.clip(position.astype(int), 0, steps - 2)
-    share = np.clip(position - low, 0.0, 1.0)
-    low, share = low[None, :], share[None, :, None]
-    lane, flight = lane.reshape(-1, 1), data.flight[None, :]
-    ends = [np.moveaxis(states, 1, 3)[low + end, lane, flight] for end in (0, 1)]
-    return np.moveaxis((1.0 - share) * ends[0] + share * ends[1], 2, 0)
+    return states
 
 
 def residuals(

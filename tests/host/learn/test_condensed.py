@@ -128,6 +128,9 @@ def test_slope_of_what_is_learned_is_its_difference(segments, frame):
     along = rng.standard_normal(len(v))
     numeric = (problem(v + 1e-6 * along)[0] - problem(v - 1e-6 * along)[0]) / 2e-6
     assert problem(v)[1] @ along == pytest.approx(numeric, rel=1e-6)
+    value, slope = _Problem(basis, examples, l2=1e-3, headings=headings, jobs=3)(v)
+    assert value == problem(v)[0]
+    np.testing.assert_array_equal(slope, problem(v)[1])
 
 
 def learned(make_states, settings, phi=PHI, *, noise=1.0, turn=lambda s: s):

@@ -20,9 +20,9 @@ from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
 from trimtab.host.trace.decision.findings import Verdict
-from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation
 from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.parameters import Column, ParameterSpace
 from trimtab.host.trace.residual.unexplained import (
     NO_LINE,
@@ -175,7 +175,7 @@ def build_fit(
 
     theta_scaled (P,) and covariance (P, P) are scaled; `lateral` and `axial` in m/s^2, `angular` in rad/s^2.
     """
-    count, nuisances = len(theta_scaled), NUISANCES + 6
+    count, data = len(theta_scaled), build_segments(rate_driven=rate_driven)
     logs = {"lateral": lateral, "axial": axial, "torque": angular}
     return SegmentFit(
         effects=effects,
@@ -187,13 +187,22 @@ def build_fit(
             **{f"log_{name}": float(2.0 * np.log(sigma)) for name, sigma in logs.items()}
         ),
         lin=Linearisation(
-            gram=np.zeros((1, 1 + count + nuisances, 1 + count + nuisances)),
-            flight=np.zeros(1, dtype=int),
+            own=np.zeros((1, 1 + count + NUISANCES, 1 + count + NUISANCES)),
+            square=np.zeros((1, 6, 6)),
+            cross=np.zeros((1, 6, 1 + count + NUISANCES)),
+            piece=np.zeros(1, dtype=int),
+            piece_flight=np.zeros(1, dtype=int),
             theta_scaled=np.array(theta_scaled, dtype=float),
             nuisances=np.zeros((1, NUISANCES)),
         ),
-        data=build_segments(rate_driven=rate_driven),
-        basis=Basis(columns=np.zeros((1, STATES + nuisances, 24)), gram=np.zeros((1, 27, 27))),
+        data=data,
+        basis=Basis(
+            theta_scaled=np.array(theta_scaled, dtype=float),
+            nuisances=np.zeros((1, NUISANCES)),
+            x0=data.x0,
+            disturbance_frd=data.disturbance_frd,
+            memory=np.zeros((0, 1, 1)),
+        ),
     )
 
 

@@ -10,7 +10,8 @@ from scipy.optimize import minimize
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.evidence import DisturbanceVariances, Linearisation, Prior
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, reduced
 
 BINS, P, K, ROWS = 2, 3, 2, 40
 PROCESS = DisturbanceVariances(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
@@ -32,6 +33,20 @@ class Dense:
     lin: Linearisation
 
 
+def _linearisation(
+    gram: np.ndarray, flight: np.ndarray, theta_scaled: np.ndarray, nuisances: np.ndarray
+) -> Linearisation:
+    """Reduce Grams (S, n, n) of [r | S | L | Z], one flight after the other."""
+    parts = [reduced(gram[flight == each], 1 + P + K, flight[flight == each]) for each in np.unique(flight)]
+    return Linearisation.of(
+        parts,
+        piece=flight,
+        piece_flight=np.arange(len(nuisances)),
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+    )
+
+
 @pytest.fixture(scope="module")
 def dense() -> Dense:
     rng = np.random.default_rng(5)
@@ -49,7 +64,7 @@ def dense() -> Dense:
         L,
         Z,
         flight,
-        Linearisation(gram=gram, flight=flight, theta_scaled=theta_scaled, nuisances=nuisances),
+        _linearisation(gram, flight, theta_scaled, nuisances),
     )
 
 
@@ -152,12 +167,7 @@ def test_fit_process_recovers_the_true_variances() -> None:
     r = rng.normal(size=(count, ROWS)) + np.einsum("snz,sz->sn", Z, w)
     S, L = np.zeros((count, ROWS, P)), np.zeros((count, ROWS, K))
     A = np.concatenate([r[:, :, None], S, L, Z], axis=2)
-    lin = Linearisation(
-        gram=np.swapaxes(A, 1, 2) @ A,
-        flight=np.zeros(count, dtype=int),
-        theta_scaled=np.zeros(P),
-        nuisances=np.zeros((1, K)),
-    )
+    lin = _linearisation(np.swapaxes(A, 1, 2) @ A, np.zeros(count, dtype=int), np.zeros(P), np.zeros((1, K)))
     start = DisturbanceVariances(log_lateral=0.0, log_axial=0.0, log_torque=0.0)
     process = evidence.fit_process(lin, PRIOR, (), start)
     assert process.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)

@@ -42,6 +42,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_LINE": "step lengths of the line search",
     },
     "flight_fit/loop.py": {
+        "_TOGETHER": "number of flights that are rolled out in one call",
         "STABLE": "stability limit of RK4 along the real axis",
         "_THETA_STEP": "step of the difference quotients",
     },
@@ -73,6 +74,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "prediction.py": {
         "_LEAD_S": "time in which a segment's start settles",
         "_ROLL_OUT_STEP_S": "step of the roll-out",
+        "_TOGETHER": "number of flights that are rolled out in one call",
     },
     "residual/closed_forms.py": {
         "_ROW_STEP": "step between the rows that are fitted",
@@ -106,12 +108,16 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "SEGMENTS_SETTLED": "step at which the Gauss-Newton iteration ends",
     },
     "segment_fit/linearise.py": {
-        "_LANES": "number of roll-outs in one call",
+        "_PART": "number of segments that are rolled out in one call",
+        "_STORED": "size of a store, which changes no result",
         "_X_STEP": "step of the difference quotients",
         "TURN_STEPS": "steps of the difference quotient for a body rate",
         "_NUISANCE_STEP": "step of the difference quotients",
         "_BIN_STEP": "step of the difference quotients",
         "_THETA_STEP": "step of the difference quotients",
+    },
+    "segment_fit/rollout.py": {
+        "_TOGETHER": "number of flights that are rolled out in one call",
     },
     "segment_fit/model.py": {
         "STATES": "size of the state",

@@ -64,9 +64,10 @@ def coloured(rng: np.random.Generator, bins: int) -> np.ndarray:
 def simulated(loop: ClosedLoop, theta_scaled: np.ndarray, seed: int) -> ClosedLoop:
     """Return a loop whose recordings are predictions of phi plus coloured noise."""
     rng = np.random.default_rng(seed)
+    predictions = loop.with_predictions(theta_scaled[:, None], lambda _, predicted: predicted[0])
     recordings = [
-        replace(recording, measured=predicted[0] + coloured(rng, recording.bins))
-        for recording, predicted in zip(loop.recordings, loop.predicted(theta_scaled[:, None]), strict=True)
+        replace(recording, measured=predicted + coloured(rng, recording.bins))
+        for recording, predicted in zip(loop.recordings, predictions, strict=True)
     ]
     return ClosedLoop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
@@ -106,6 +107,20 @@ def test_parameters_of_simulated_flights_lie_within_their_intervals(
         assert abs(fit.theta_scaled[library.groups["motor-lag"][0]] * 0.015 - 0.01) < 0.002
     # Chi-square with 16 degrees of freedom: values outside these limits have a probability of 0.001.
     assert 0.2 < np.mean(squares) < 2.6
+
+
+def test_residuals_and_slopes_do_not_depend_on_the_number_of_threads(loop: ClosedLoop) -> None:
+    """One thread rolls out both flights together, two threads each alone."""
+    theta_scaled = 0.1 * np.arange(len(loop.space.columns))
+    alone = ClosedLoop(loop.recordings, loop.recordings[0].states.vehicle, loop.space, jobs=2)
+    base = [each.residuals(theta_scaled[:, None]) for each in (loop, alone)]
+    slopes = [
+        each.slopes(theta_scaled, (), [r[0] for r in residuals], afresh=True)
+        for each, residuals in zip((loop, alone), base, strict=True)
+    ]
+    for flight in range(2):
+        np.testing.assert_array_equal(base[0][flight], base[1][flight])
+        np.testing.assert_array_equal(slopes[0][flight], slopes[1][flight])
 
 
 def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: ClosedLoop) -> None:

@@ -95,7 +95,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     nuisances = np.zeros((1, model.NUISANCES))
-    basis = linearise.basis(FORM, data, theta_scaled, nuisances)
+    columns = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
@@ -108,11 +108,15 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
         up[:, column] += h
         down[:, column] -= h
         slope = (residual(down, data.disturbance_frd) - residual(up, data.disturbance_frd)) / (2 * h)
-        np.testing.assert_allclose(basis.x[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+        np.testing.assert_allclose(columns[:, column], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
     w = np.zeros((2, 6, 6))
     w[:, 2, 4] = h
     slope = (residual(x0, -w) - residual(x0, w)) / (2 * h)
-    np.testing.assert_allclose(basis.bins[:, 6 * 2 + 4], slope, atol=2e-4 * max(1.0, np.abs(slope).max()))
+    np.testing.assert_allclose(
+        columns[:, model.STATES + model.NUISANCES + 6 * 2 + 4],
+        slope,
+        atol=2e-4 * max(1.0, np.abs(slope).max()),
+    )
 
 
 def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
@@ -137,6 +141,32 @@ def test_fitted_x0_recovers_the_state_that_made_the_measurements() -> None:
     basis = linearise.basis(FORM, measured, theta_scaled, nuisances)
     x0 = linearise.fitted_x0(FORM, measured, theta_scaled, nuisances, basis, iterations=5)
     np.testing.assert_allclose(x0, truth, atol=1e-6)
+
+
+def test_linearisation_depends_neither_on_threads_nor_on_stored_columns(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    rng = np.random.default_rng(4)
+    x0 = 0.2 * rng.normal(size=(5, 12))
+    data = replace(
+        make(np.full((5, PRE + STEPS, 4), HOVER), x0),
+        flight=np.array([0, 0, 0, 1, 1]),
+        paths=x0[[0, 3], None].repeat(2, axis=1),
+    )
+    theta_scaled, nuisances = 0.1 * rng.normal(size=len(SPACE.columns)), np.zeros((2, model.NUISANCES))
+
+    def linearised(jobs: int, stored: int) -> tuple[np.ndarray, ...]:
+        monkeypatch.setattr(linearise, "_STORED", stored)
+        form = SegmentModel(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False, jobs=jobs)
+        basis = linearise.basis(form, data, theta_scaled, nuisances)
+        for _ in range(2):
+            lin, x = linearise.linearise(form, data, theta_scaled, nuisances, basis)
+        return lin.own, lin.square, lin.cross, x
+
+    expected = linearised(1, 400)
+    for jobs, stored in ((3, 400), (1, 0)):
+        for ours, theirs in zip(linearised(jobs, stored), expected, strict=True):
+            np.testing.assert_array_equal(ours, theirs)
 
 
 def lane_of(data: Segments, **values: float) -> np.ndarray:
