@@ -22,7 +22,7 @@ from pathlib import Path
 
 from trimtab.host.base.errors import TrimtabError
 
-FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
+FLAGS = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 ENGINES = ("auto", "vm", "c")
 ENGINE_VARIABLE = "TRIMTAB_ENGINE"
 _SECONDS = 300
