@@ -58,7 +58,13 @@ def _recorded_flights() -> str | None:
     return None if RECORDED_FLIGHTS.is_dir() else "no recorded flights in ../shared/data beside this checkout"
 
 
+def _arm() -> str | None:
+    missing = [name for name in ("aarch64-linux-gnu-gcc", "qemu-aarch64") if shutil.which(name) is None]
+    return f"{' and '.join(missing)} not on PATH (gcc-aarch64-linux-gnu, qemu-user)" if missing else None
+
+
 PARTS: dict[str, Callable[[], str | None]] = {
+    "arm": _arm,
     "browser": _program("chromium", "chromium-browser", "google-chrome"),
     "clients": _clients,
     "compiler": _compiler,

@@ -120,7 +120,7 @@ def test_long_test_starts_before_the_others_of_its_size(tmp_path: Path) -> None:
 
 
 def test_unknown_required_part_stops_the_run(tmp_path: Path) -> None:
-    assert "TRIMTAB_REQUIRE: unknown browsr; known: browser, clients, compiler" in run_probe(
+    assert "TRIMTAB_REQUIRE: unknown browsr; known: arm, browser, clients, compiler" in run_probe(
         tmp_path, "browsr"
     )
 

@@ -24,7 +24,7 @@ from trimtab.host.base.errors import TrimtabError
 
 T = TypeVar("T")
 
-FLAGS = ("-O2", "-ffp-contract=off", "-fPIC", "-shared")
+FLAGS = ("-O2", "-ffp-contract=off", "-fno-math-errno", "-fPIC", "-shared")
 ENGINES = ("auto", "vm", "c")
 ENGINE_VARIABLE = "TRIMTAB_ENGINE"
 _SECONDS = 300

@@ -1,22 +1,19 @@
 /* A network's layers over lanes. Behind simd.h. Weights: for every output its inputs' weights, then its bias. */
 
+/* Outputs j to j + BLOCK - 1, whose sums are independent and so hide the latency of an addition. */
+#define OUTPUTS(BLOCK) \
+    for (; j + BLOCK <= outputs; j += BLOCK) { \
+        const double *a = w + (long)j * (inputs + 1); \
+        V s[BLOCK]; \
+        for (int q = 0; q < BLOCK; ++q) s[q] = splat(a[q * (inputs + 1) + inputs]); \
+        for (int i = 0; i < inputs; ++i) for (int q = 0; q < BLOCK; ++q) s[q] += a[q * (inputs + 1) + i] * u[i]; \
+        for (int q = 0; q < BLOCK; ++q) out[j + q] = s[q]; \
+    }
 INLINE void layer(const double *w, const V *u, V *out, int inputs, int outputs) {
     int j = 0;
-    for (; j + 4 <= outputs; j += 4) {
-        const double *a = w + (long)j * (inputs + 1), *b = a + inputs + 1, *c = b + inputs + 1, *d = c + inputs + 1;
-        V s0 = splat(a[inputs]), s1 = splat(b[inputs]), s2 = splat(c[inputs]), s3 = splat(d[inputs]);
-        for (int i = 0; i < inputs; ++i) {
-            V t = u[i];
-            s0 += a[i] * t; s1 += b[i] * t; s2 += c[i] * t; s3 += d[i] * t;
-        }
-        out[j] = s0; out[j + 1] = s1; out[j + 2] = s2; out[j + 3] = s3;
-    }
-    for (; j < outputs; ++j) {
-        const double *a = w + (long)j * (inputs + 1);
-        V s = splat(a[inputs]);
-        for (int i = 0; i < inputs; ++i) s += a[i] * u[i];
-        out[j] = s;
-    }
+    OUTPUTS(8)
+    OUTPUTS(3)
+    OUTPUTS(1)
 }
 
 /* out = weights' transposed times back. */

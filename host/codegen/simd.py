@@ -131,11 +131,9 @@ def lane_count(library: ctypes.CDLL) -> int:
 def lanes_of(rows: np.ndarray, lanes: int) -> Annotated[np.ndarray, "... lanes"]:
     """Return rows (n, ...) as aligned (groups, ..., lanes); the first row fills the last group."""
     groups = -(-len(rows) // lanes)
-    index = np.zeros(groups * lanes, dtype=int)
-    index[: len(rows)] = np.arange(len(rows))
-    shape = (groups, *rows.shape[1:], lanes)
-    out = aligned(shape)
-    out[:] = np.moveaxis(rows[index].reshape(groups, lanes, *rows.shape[1:]), 1, -1)
+    out = aligned((groups, *rows.shape[1:], lanes))
+    for k in range(groups * lanes):
+        out[k // lanes, ..., k % lanes] = rows[k if k < len(rows) else 0]
     return out
 
 

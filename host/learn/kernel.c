@@ -6,43 +6,43 @@ INLINE void add_lanes(double *sum, V a) {
     for (int i = 0; i < LANES; ++i) *sum += a[i];
 }
 
-/* gradient[j][i] += sum over stages and lanes of back[j] u[i]; the last column is the bias's. */
-static void products_of(double *gradient, const Stage *stages, long count, int u0, int b0, int inputs, int outputs) {
-    for (int j = 0; j < outputs; j += 4) {
-        int nj = outputs - j < 4 ? outputs - j : 4;
-        for (int i = 0; i < inputs; i += 4) {
-            int ni = inputs - i < 4 ? inputs - i : 4;
-            V s[4][4];
-            memset(s, 0, sizeof s);
-            if (nj == 4 && ni == 4) {
-                for (long k = 0; k < count; ++k) {
-                    const V *u = stages[k].u + u0 + i, *b = stages[k].back + b0 + j;
-                    for (int q = 0; q < 4; ++q) for (int p = 0; p < 4; ++p) s[q][p] += b[q] * u[p];
-                }
-            } else {
-                for (long k = 0; k < count; ++k) {
-                    const V *u = stages[k].u + u0 + i, *b = stages[k].back + b0 + j;
-                    for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p) s[q][p] += b[q] * u[p];
-                }
-            }
-            for (int q = 0; q < nj; ++q) for (int p = 0; p < ni; ++p)
-                add_lanes(gradient + (long)(j + q) * (inputs + 1) + i + p, s[q][p]);
-        }
-        for (int q = 0; q < nj; ++q) {
-            V s = splat(0.0);
-            for (long k = 0; k < count; ++k) s += stages[k].back[b0 + j + q];
-            add_lanes(gradient + (long)(j + q) * (inputs + 1) + inputs, s);
-        }
+/* Costates of the arguments of the units in a stage, then of the network's outputs. */
+typedef V Costates[UNITS + GIVEN];
+
+/* Columns i to i + IN - 1 of rows j to j + OUT - 1 in products_of. */
+#define BLOCK(OUT, IN) { \
+        V s[OUT][IN]; \
+        for (int q = 0; q < OUT; ++q) for (int p = 0; p < IN; ++p) s[q][p] = row[q * (inputs + 1) + i + p]; \
+        for (long k = 0; k < count; ++k) { \
+            const V *u = stages[k].u + u0 + i, *b = costates[k] + b0 + j; \
+            for (int q = 0; q < OUT; ++q) for (int p = 0; p < IN; ++p) s[q][p] += b[q] * u[p]; \
+        } \
+        for (int q = 0; q < OUT; ++q) for (int p = 0; p < IN; ++p) row[q * (inputs + 1) + i + p] = s[q][p]; \
     }
+#define ROWS_OF(OUT) \
+    for (; j + OUT <= outputs; j += OUT) { \
+        V *row = gradient + (long)j * (inputs + 1); \
+        int i = 0; \
+        for (; i + 4 <= inputs; i += 4) BLOCK(OUT, 4) \
+        for (; i < inputs; ++i) BLOCK(OUT, 1) \
+        for (int q = 0; q < OUT; ++q) \
+            for (long k = 0; k < count; ++k) row[q * (inputs + 1) + inputs] += costates[k][b0 + j + q]; \
+    }
+/* gradient[j][i] += sum over `count` stages of back[j] u[i]; the last column is the bias's. */
+static void products_of(V *gradient, const Stage *stages, Costates *costates, long count, int u0, int b0, int inputs,
+                        int outputs) {
+    int j = 0;
+    ROWS_OF(2)
+    ROWS_OF(1)
 }
 
-/* Adds back' d(rate)/dx to out and back' d(rate)/dtheta to theta_back; what came back to the layers is kept. */
+/* Adds back' d(rate)/dx to out and back' d(rate)/dtheta to theta_back; units: the layers' costates. */
 INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *back,
-                      V *out, V *theta_back) {
-    V d[GIVEN], of_x[SIZE], of_d[GIVEN], of_theta[THETA + 1], of_state[6], to[64];
+                      V *out, V *theta_back, V *units) {
+    V d[GIVEN], of_x[SIZE], of_d[GIVEN], of_theta[THETA + 1], of_state[6], to[SEEN + UNITS];
     acceleration(s, 0, d);
     products(s->x, drive, flight, theta, d, back, of_x, of_d, of_theta);
-    given_back(s->x + 3, s->u + SEEN + UNITS, of_d, of_state, s->back + UNITS);
+    given_back(s->x + 3, s->u + SEEN + UNITS, of_d, of_state, units + UNITS);
     for (int i = 0; i < SIZE; ++i) out[i] += of_x[i];
     for (int i = 0; i < 6; ++i) out[3 + i] += of_state[i];
     for (int i = 0; i < THETA; ++i) theta_back[i] += of_theta[i];
@@ -51,14 +51,23 @@ INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *fligh
     for (int i = 0; i < 6; ++i) out[3 + i] += of_state[i];
 }
 
-/* After roll_out. pull (steps + 1, MEASURED) is the loss's slope by the states; costate: by the start. */
+/* Steps whose stages are still in the cache when their products are added to the gradient. */
+#define STEPS_AT_ONCE 4
+
+/* After roll_out to `states` (steps + 1, SIZE): the loss is half of weight[i] (state[i] - measured[i])^2, summed over the
+   steps and measured (steps + 1, MEASURED) except its first row. costate: the loss's slope by the start. by_lane: room
+   for the gradient of each lane. */
 void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, long steps, double h, Stage *stages,
-             const V *pull, V *costate, double *gradient, V *theta_back) {
+             const V *states, const V *measured, const V *weight, V *costate, V *by_lane, double *gradient,
+             V *theta_back) {
+    Costates costates[4 * STEPS_AT_ONCE];
+    memset(by_lane, 0, sizeof(V) * WEIGHTS);
     memset(costate, 0, sizeof(V) * SIZE);
     memset(theta_back, 0, sizeof(V) * THETA);
     for (long k = steps; k-- > 0;) {
         V before[SIZE], later[SIZE], back[SIZE];
-        for (int i = 0; i < MEASURED; ++i) costate[i] += pull[(k + 1) * MEASURED + i];
+        for (int i = 0; i < MEASURED; ++i)
+            costate[i] += weight[i] * (states[(k + 1) * SIZE + i] - measured[(k + 1) * MEASURED + i]);
         memcpy(before, costate, sizeof before);
         for (int q = 3; q >= 0; --q) {
             for (int i = 0; i < SIZE; ++i) {
@@ -66,11 +75,16 @@ void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, 
                 if (q < 3) back[i] += h * ALONG[q + 1] * later[i];
             }
             memset(later, 0, sizeof later);
-            pull_back(xi, stages + 4 * k + q, drive + (2 * k + HALF(q)) * ROWS, flight, theta, back, later, theta_back);
+            pull_back(xi, stages + 4 * k + q, drive + (2 * k + HALF(q)) * ROWS, flight, theta, back, later, theta_back,
+                      costates[4 * (k % STEPS_AT_ONCE) + q]);
             for (int i = 0; i < SIZE; ++i) before[i] += later[i];
         }
         memcpy(costate, before, sizeof before);
+        if (k % STEPS_AT_ONCE == 0) {
+            Stage *first = stages + 4 * k;
+            long count = 4 * (steps - k < STEPS_AT_ONCE ? steps - k : STEPS_AT_ONCE);
+            GRADIENTS
+        }
     }
-    for (int i = 0; i < MEASURED; ++i) costate[i] += pull[i];
-    GRADIENTS
+    for (int i = 0; i < WEIGHTS; ++i) add_lanes(gradient + i, by_lane[i]);
 }

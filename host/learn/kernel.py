@@ -8,14 +8,12 @@ one product of each layer's inputs and its costates.
 
 from __future__ import annotations
 
-import ctypes
 from collections.abc import Callable
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
 
 import casadi as ca
-import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.simd import lane_source, simd_library
@@ -56,18 +54,21 @@ def source(phi: Phi, layout: Layout) -> str:
     u, w = 0, 0
     for k, (inputs, outputs) in enumerate(pairwise(sizes)):
         back = u + inputs - sizes[0]
-        gradients.append(f"products_of(gradient + {w}, stages, 4 * steps, {u}, {back}, {inputs}, {outputs});")
+        gradients.append(
+            f"products_of(by_lane + {w}, first, costates, count, {u}, {back}, {inputs}, {outputs});"
+        )
         before = back - inputs
         through_tanh = (
             f"for (int i = 0; i < {inputs}; ++i) "
-            f"s->back[{before} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
+            f"units[{before} + i] = to[i] * (1.0 - s->u[{u} + i] * s->u[{u} + i]);"
         )
-        layer_back = f"layer_back(xi + {w}, s->back + {back}, to, {inputs}, {outputs});"
+        layer_back = f"layer_back(xi + {w}, units + {back}, to, {inputs}, {outputs});"
         backward.append(f"{layer_back} {through_tanh}" if k else layer_back)
         u, w = u + inputs, w + outputs * (inputs + 1)
     defines = [
         f"#define THETA {len(phi.theta_names)}",
         f"#define MEASURED {MEASURED}",
+        f"#define WEIGHTS {layout.size}",
         f"#define BACKWARD {' '.join(reversed(backward))}",
         f"#define GRADIENTS {' '.join(gradients)}",
     ]
@@ -103,9 +104,3 @@ def _network_ends_back(layout: Layout) -> dict[str, ca.Function]:
         ),
         "given_back": ca.Function("given_back", [state, out, pull], ca.cse(back)),
     }
-
-
-def pointers(array: np.ndarray) -> list[ctypes.c_void_p]:
-    """Return the addresses of an array's rows, one for each index of its first axis."""
-    first, stride = array.ctypes.data, array.strides[0]
-    return [ctypes.c_void_p(first + k * stride) for k in range(len(array))]

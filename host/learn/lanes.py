@@ -11,7 +11,7 @@ import numpy as np
 from trimtab.host.codegen.compiler import Compiler, compiled
 from trimtab.host.codegen.simd import aligned, lanes_of, pointer, rows_of
 from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
-from trimtab.host.learn.kernel import MEASURED, kernel, pointers
+from trimtab.host.learn.kernel import MEASURED, kernel
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
@@ -68,7 +68,11 @@ class LaneRollouts:
         xi: Annotated[np.ndarray, "weights"],
     ) -> Annotated[np.ndarray, "nodes segments size"]:
         """Return the states from the starts x0: equation 7."""
-        states, _ = self._rolled(segments, x0, np.ascontiguousarray(xi, dtype=float))
+        xi = np.ascontiguousarray(xi, dtype=float)
+        inputs = (lanes_of(rows, self._lanes) for rows in (x0, segments.drive, segments.constants))
+        states = self._states(segments)
+        for x, d, c, out in zip(*inputs, states, strict=True):
+            self._roll(xi, x, d, None, c, self._theta, None, stages=None, samples=out)
         return np.moveaxis(rows_of(states, segments.count), 0, 1)
 
     def pushed(self, segments: Segments) -> Pushed:
@@ -95,24 +99,26 @@ class LaneRollouts:
     ) -> Gradient:
         """Return loss and gradient: the roll-out, then the adjoint backwards (equations 8 and 9)."""
         xi = np.ascontiguousarray(xi, dtype=float)
-        states, (drive, flight) = self._rolled(segments, x0, xi)
-        # By segments, so that sums do not depend on the number of lanes.
-        pull = rows_of(states, segments.count)[:, :, :MEASURED] - segments.measured
-        weight = self.weight / segments.steps
-        pull[:, 0] = 0.0
-        loss = float((weight * pull**2).sum())
-        pull = lanes_of(2.0 * weight * pull, self._lanes)
-        unused = len(states) * self._lanes - segments.count
-        pull[-1, :, :, self._lanes - unused :] = 0.0
-        of_xi, costate = np.zeros(len(xi)), aligned((len(states), self.phi.size, self._lanes))
+        lanes, weight = self._lanes, self.weight / segments.steps
+        rows = (x0, segments.drive, segments.constants, segments.measured)
+        start, drive, flight, measured = (lanes_of(part, lanes) for part in rows)
+        states, stages = self._states(segments), self._room(segments.steps)
+        weights = aligned((len(states), MEASURED, lanes))
+        weights[:] = 2.0 * weight[:, None]
+        weights[-1, :, segments.count - len(states) * lanes + lanes :] = 0.0  # lanes without a segment
+        by_lane = aligned((len(xi), lanes))
+        of_xi, costate = np.zeros(len(xi)), aligned((len(states), self.phi.size, lanes))
         of_theta = aligned((len(states), *self._theta.shape))
-        weights, theta = pointer(xi), pointer(self._theta)
-        steps, step_s = ctypes.c_long(segments.steps), ctypes.c_double(self.step_s)
-        rows = (drive, flight, self._stages, pull, costate, of_theta)
-        for d, c, stages, vjp, back, theta_back in zip(*map(pointers, rows), strict=True):
+        for g, x in enumerate(states):
+            self._roll(xi, start[g], drive[g], None, flight[g], self._theta, None, stages=stages, samples=x)
             self._kernel.adjoint(
-                weights, d, c, theta, steps, step_s, stages, vjp, back, pointer(of_xi), theta_back,
+                *map(pointer, (xi, drive[g], flight[g], self._theta)), ctypes.c_long(segments.steps),
+                ctypes.c_double(self.step_s),
+                *map(pointer, (stages, x, measured[g], weights[g], costate[g], by_lane, of_xi, of_theta[g])),
             )  # fmt: skip
+        # By segments, so that the sum does not depend on the number of lanes.
+        error = rows_of(states[:, 1:, :MEASURED], segments.count) - segments.measured[:, 1:]
+        loss = float((weight * error**2).sum())
         return Gradient(
             loss=loss,
             xi=of_xi,
@@ -120,18 +126,14 @@ class LaneRollouts:
             theta=rows_of(of_theta, segments.count).sum(0)[: len(self.phi.theta_names)],
         )
 
-    def _rolled(
-        self, segments: Segments, x0: np.ndarray, xi: np.ndarray
-    ) -> tuple[np.ndarray, tuple[np.ndarray, np.ndarray]]:
-        """Return states (groups, N + 1, size, lanes), drive and constants over lanes; store the stages."""
-        start, drive, flight = (
-            lanes_of(rows, self._lanes) for rows in (x0, segments.drive, segments.constants)
-        )
-        groups, steps = len(start), segments.steps
-        states = aligned((groups, steps + 1, self.phi.size, self._lanes))
-        need = (groups, 4 * steps * self._kernel.roll_out.stage_bytes // 8)
-        if self._stages.shape != need:
-            self._stages = aligned(need)
-        for x, d, c, stages, out in zip(start, drive, flight, self._stages, states, strict=True):
-            self._roll(xi, x, d, None, c, self._theta, None, stages=stages, samples=out)
-        return states, (drive, flight)
+    def _states(self, segments: Segments) -> np.ndarray:
+        """Return room for the states (groups, N + 1, size, lanes)."""
+        groups = -(-segments.count // self._lanes)
+        return aligned((groups, segments.steps + 1, self.phi.size, self._lanes))
+
+    def _room(self, steps: int) -> np.ndarray:
+        """Return room for the stages of one group, which stays in the cache from group to group."""
+        size = 4 * steps * self._kernel.roll_out.stage_bytes // 8
+        if self._stages.size != size:
+            self._stages = aligned((size,))
+        return self._stages

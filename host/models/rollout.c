@@ -6,7 +6,7 @@
 
 #if NETWORK
 /* One evaluation of the slope; u: inputs of every layer, then the network's outputs; back: room for their costates. */
-typedef struct { V x[SIZE], u[SEEN + UNITS + GIVEN], back[UNITS + GIVEN]; } Stage;
+typedef struct { V x[SIZE], u[SEEN + UNITS + GIVEN]; } Stage;
 #else
 typedef struct { V x[SIZE]; } Stage;
 #endif
