@@ -9,7 +9,7 @@ from typing import Annotated, Any, Literal
 import numpy as np
 
 from trimtab.host.trace import evidence
-from trimtab.host.trace.data.logs import strata_of
+from trimtab.host.trace.data.logs import flights_by_reference
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import is_null_open
@@ -187,7 +187,7 @@ def _from_flights(
     judged = (
         fit if selected_set_is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
     )
-    covariance = inflated_flight_covariance(space, fit, strata_of(repeat_flights, len(flights)))
+    covariance = inflated_flight_covariance(space, fit, flights_by_reference(repeat_flights, len(flights)))
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
     )

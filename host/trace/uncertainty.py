@@ -1,4 +1,4 @@
-"""Inflated covariances: standard deviations widened by the disagreement between flights."""
+"""Inflated covariances: standard deviations widened by the disagreement of flights and of references."""
 
 from __future__ import annotations
 
@@ -17,16 +17,55 @@ from trimtab.host.trace.segment_fit.fit import SegmentFit
 
 
 def inflated_flight_covariance(
-    space: ParameterSpace, closed: FlightFit, strata: Sequence[Sequence[int]] | None = None
+    space: ParameterSpace, closed: FlightFit, references: Sequence[Sequence[int]]
 ) -> Annotated[np.ndarray, "parameters parameters"]:
-    """Return the covariance, scaled, of a flight fit, widened by the jackknife over flights.
+    """Return the covariance, scaled, of a flight fit, widened by `widening_of_mix`.
 
-    closed: the fit. strata: groups of indices of flights that are alike; all flights if None. Each standard
-    deviation is widened by a factor of at least RULES.min_widening.
+    closed: the fit. references: indices of the flights of each reference.
     """
     precision = prior_of(space).precision(closed.effects)
-    widened = np.maximum(jackknife_by_flight(closed.grams, closed.at, precision, strata), RULES.min_widening)
+    widened = widening_of_mix(closed.grams, closed.at, precision, references)
     return closed.covariance * np.outer(widened, widened)
+
+
+def widening_of_mix(
+    grams: Annotated[np.ndarray, "flights columns columns"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    precision: Annotated[np.ndarray, "parameters"],
+    references: Sequence[Sequence[int]],
+) -> Annotated[np.ndarray, "parameters"]:
+    """Return factors that widen standard deviations to the scatter between sets of flights of one mix.
+
+    The forms of the effects are not exact, so each reference has its own best parameters. This error repeats
+    when a reference is flown again, and it falls with the number of references, not with that of flights.
+
+    Two jackknives are combined. The one over the flights of each reference measures chance. The one over
+    pairs of repeat flights also measures the differences between references: the usual two flights of a
+    reference count as one draw from the mix. A reference that is flown more often is a larger part of the
+    mix, so each pair of its flights counts as a draw. Few references say little about others. The excess of
+    the second jackknife therefore counts by n / (n + RULES.jackknife_prior_flights), where n is the number of
+    pairs less one.
+
+    The factors are at least RULES.min_widening. Beyond RULES.min_widening_flights flights, its excess over 1
+    (of the variance) falls in inverse proportion to the number of flights.
+
+    Parameters
+    ----------
+    grams, theta_scaled, precision
+        See `jackknife_by_flight`.
+    references
+        Indices of the flights of each reference.
+    """
+    repeated = [flights for flights in references if len(flights) > 1]
+    single = [flights[0] for flights in references if len(flights) == 1]
+    pairs = [list(flights[i : i + 2]) for flights in references for i in range(0, len(flights), 2)]
+    fewness = min(1.0, RULES.min_widening_flights / len(grams))
+    least = 1.0 + (RULES.min_widening**2 - 1.0) * fewness
+    within = np.maximum(jackknife_by_flight(grams, theta_scaled, precision, [*repeated, single]) ** 2, least)
+    by_pair = np.stack([grams[pair].sum(0) for pair in pairs])
+    between = jackknife_by_flight(by_pair, theta_scaled, precision) ** 2
+    share = (len(pairs) - 1) / (len(pairs) - 1 + RULES.jackknife_prior_flights)
+    return np.sqrt(within + share * np.maximum(between - within, 0.0))
 
 
 def inflated_segment_covariance(
@@ -74,7 +113,7 @@ def jackknife_by_flight(
         Prior precision, scaled.
     strata
         Groups of indices of flights that are alike; all flights if None. Differences between strata, such as
-        other references, do not count, since they are no chance.
+        other references, do not count.
     """
     total = grams.sum(0)
     parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]

@@ -132,16 +132,15 @@ def _host(flight: Flight) -> tuple[str, str, str | None] | None:
     return None if control is None else (control.controller, control.settings_id, control.model_id)
 
 
-def strata_of(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
-    """Return groups of indices of `count` flights: repeat flights together, all other flights together.
+def flights_by_reference(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:
+    """Return groups of indices of `count` flights: repeat flights together, any other flight alone.
 
     repeat_flights: pairs of indices of repeat flights.
     """
     group = list(range(count))
     for a, b in repeat_flights:
         group[b] = min(group[a], group[b])
-    strata: dict[int, list[int]] = {}
+    references: dict[int, list[int]] = {}
     for flight, first in enumerate(group):
-        strata.setdefault(first, []).append(flight)
-    single = [flight for flights in strata.values() if len(flights) == 1 for flight in flights]
-    return [flights for flights in strata.values() if len(flights) > 1] + ([single] if single else [])
+        references.setdefault(first, []).append(flight)
+    return list(references.values())

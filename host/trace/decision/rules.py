@@ -161,6 +161,12 @@ class Rules:
         "Least factor by which standard deviations of flight fits are widened.",
         MEASURED,
     )
+    min_widening_flights: float = _rule(
+        8.0,
+        "flights",
+        "Flights with which `min_widening` was measured. With more, the excess of its square over 1 falls in "
+        "inverse proportion to their number, since more flights determine the whitening better.",
+    )
     jackknife_prior_flights: float = _rule(
         7.0,
         "flights",

@@ -58,6 +58,7 @@ EXPECTED: Mapping[str, float] = {
     # Uncertainty.
     "temper": 2.0,
     "min_widening": 1.4142135623730951,
+    "min_widening_flights": 8.0,
     "jackknife_prior_flights": 7.0,
     "jackknife_pieces": 4,
     # Amount of data.

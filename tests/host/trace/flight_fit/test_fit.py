@@ -201,43 +201,6 @@ def test_inflated_covariance_is_never_less_than_that_of_the_fit(
     library: ParameterSpace, loop: ClosedLoop
 ) -> None:
     fit = refine.fit_closed_loop(loop, ("linear-drag",), np.zeros(len(library.columns)), 2)
-    covariance = uncertainty.inflated_flight_covariance(library, fit)
+    covariance = uncertainty.inflated_flight_covariance(library, fit, [[0], [1]])
     assert (np.diag(covariance) >= np.diag(fit.covariance)).all()
     np.linalg.cholesky(covariance)
-
-
-def drifting(rng: np.random.Generator, shifts: np.ndarray) -> np.ndarray:
-    """Return Grams (flights, 5, 5) of 400 measurements; `shifts` (flights, 4) are parameter errors."""
-    grams = []
-    for shift in shifts:
-        slopes = rng.standard_normal((400, 4))
-        A = np.column_stack([rng.standard_normal(400) + slopes @ shift, slopes])
-        grams.append(A.T @ A)
-    return np.stack(grams)
-
-
-def test_jackknife_widens_only_what_differs_between_flights() -> None:
-    rng = np.random.default_rng(3)
-    shifts = np.zeros((8, 4))
-    shifts[:, 1] = 0.6 * rng.standard_normal(8)
-    grams = drifting(rng, shifts)
-    factors = uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
-    assert factors[[0, 2, 3]].max() < 1.6
-    assert factors[1] > 4.0
-    alone = uncertainty.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
-    np.testing.assert_array_equal(alone, np.ones(4))
-
-
-def test_jackknife_ignores_differences_between_strata() -> None:
-    rng = np.random.default_rng(4)
-    shifts = np.zeros((8, 4))
-    shifts[:, 1] = np.repeat(0.6 * rng.standard_normal(4), 2)
-    grams, pairs = drifting(rng, shifts), [[0, 1], [2, 3], [4, 5], [6, 7]]
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
-
-
-def test_jackknife_pools_the_median_spread_into_every_parameter() -> None:
-    rng = np.random.default_rng(5)
-    grams = drifting(rng, 0.6 * rng.standard_normal((8, 4)))
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0
