@@ -70,13 +70,18 @@ def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray],
     for r, mask in zip(residuals, known, strict=True):
         usable = usable_bins(mask, span_of(order))
         columns = np.concatenate([_past(r, order)[usable], r[usable]], axis=1)
-        triangles.append(np.linalg.qr(columns, mode="r"))
+        triangles.append(_triangle(columns))
         count += len(usable)
-    triangle = np.linalg.qr(np.concatenate(triangles), mode="r")
+    triangle = _triangle(np.concatenate(triangles))
     X, Y = triangle[:, :past], triangle[:, past:]
     coefficients, *_ = np.linalg.lstsq(X, Y, rcond=None)
     innovations = Y - X @ coefficients
     return Whitening(coefficients=coefficients, innovation=innovations.T @ innovations / count)
+
+
+def _triangle(columns: np.ndarray) -> np.ndarray:
+    """Return the triangle R of columns = Q R, whose Gram is that of the columns."""
+    return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
 def _past(x: np.ndarray, order: int) -> np.ndarray:
