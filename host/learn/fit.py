@@ -19,6 +19,11 @@ SLAB = 2.0
 
 _MEMORY = 30
 
+_LAST_LAYER = 0.3
+"""Unit in which the last layer's weights are searched. They change the loss most: in units of 1, L-BFGS takes
+a third more iterations to the same error on the paper's data.
+"""
+
 _PART = 16
 """Segments whose loss is computed together."""
 
@@ -101,7 +106,16 @@ def fit(
     class Enough(Exception):
         pass
 
-    def after(v: np.ndarray) -> None:
+    unit = np.ones(basis.size)
+    if basis.layout is not None:
+        unit[list(basis.layout.places())[-1].where] = _LAST_LAYER
+
+    def scaled(w: np.ndarray) -> tuple[float, np.ndarray]:
+        value, slope = problem(unit * w)
+        return value, unit * slope
+
+    def after(w: np.ndarray) -> None:
+        v = unit * w
         losses.append(problem.last)
         checks.append(checked.loss(v))
         if checks[-1] < checks[int(best[1])]:
@@ -119,7 +133,7 @@ def fit(
         "gtol": 1e-12,
     }
     with suppress(Enough):
-        minimize(problem, start, jac=True, method="L-BFGS-B", callback=after, options=options)
+        minimize(scaled, start / unit, jac=True, method="L-BFGS-B", callback=after, options=options)
     xi, eta, delay = problem.split(np.asarray(best[0]))
     return Fitted(
         xi=xi.copy(),

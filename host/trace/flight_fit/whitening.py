@@ -65,15 +65,23 @@ def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray],
     residuals: (bins, 12) for each flight. known: mask (bins,) for each flight. A bin is used if it and the
     `span_of(order)` bins before it are known.
     """
-    before, now = [], []
+    # Flight by flight, each is reduced to the triangle of its orthogonal factorisation.
+    triangles, count, past = [], 0, CHANNELS * order
     for r, mask in zip(residuals, known, strict=True):
         usable = usable_bins(mask, span_of(order))
-        before.append(_past(r, order)[usable])
-        now.append(r[usable])
-    X, Y = np.concatenate(before), np.concatenate(now)
+        columns = np.concatenate([_past(r, order)[usable], r[usable]], axis=1)
+        triangles.append(_triangle(columns))
+        count += len(usable)
+    triangle = _triangle(np.concatenate(triangles))
+    X, Y = triangle[:, :past], triangle[:, past:]
     coefficients, *_ = np.linalg.lstsq(X, Y, rcond=None)
     innovations = Y - X @ coefficients
-    return Whitening(coefficients=coefficients, innovation=innovations.T @ innovations / len(Y))
+    return Whitening(coefficients=coefficients, innovation=innovations.T @ innovations / count)
+
+
+def _triangle(columns: np.ndarray) -> np.ndarray:
+    """Return the triangle R of columns = Q R, whose Gram is that of the columns."""
+    return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
 def _past(x: np.ndarray, order: int) -> np.ndarray:
