@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from array import array
+from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
-from typing import Any, NamedTuple, Protocol
+from typing import Any, Protocol
 
-from trimtab.host.codegen import CompiledEngine, address, function_engine, sx_function
+from trimtab.host.codegen import CompiledEngine, function_engine, sx_function
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.draw import World
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
@@ -18,8 +19,6 @@ from trimtab.sitl.vectors import rotation
 
 _SAG_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight in a world with battery-sag
 _NOISE_BLOCK = 1024
-NOISE = 6
-"""Numbers of turbulence that a tick takes."""
 _DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # relative spread of the motor controllers' delays
 _LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 
@@ -40,27 +39,6 @@ class PlantPort(Protocol):
     def step(self, motor_command: Sequence[float]) -> None: ...
 
 
-class Delay(NamedTuple):
-    """Past commands, and which two of them each motor follows.
-
-    sent: four commands a tick, newest tick first; empty without a delay. motors: for each motor its number,
-    the two indices in `sent` around its delay, and the fraction of a tick between them.
-    """
-
-    sent: memoryview
-    motors: tuple[tuple[int, int, int, float], ...]
-
-    @classmethod
-    def of(cls, ticks: Sequence[float]) -> Delay:
-        """Return the delay of each motor, in ticks."""
-        size = 4 * (int(max(ticks)) + 2) if max(ticks) > 0.0 else 0
-        motors = tuple(
-            (i, 4 * int(delay) + i, 4 * int(delay) + 4 + i, delay - int(delay))
-            for i, delay in enumerate(ticks)
-        )
-        return cls(memoryview(array("d", bytes(8 * size))), motors)
-
-
 class Plant:
     """A vehicle in a world, stepped in milliseconds. Satisfies PlantPort.
 
@@ -68,10 +46,9 @@ class Plant:
     """
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
-        self.function = _traced(PARTS.intersection(world.effects))
-        self.engine = function_engine(self.function, INPUTS, OUTPUTS)
-        inputs: Any = self.engine.inputs
-        outputs: Any = self.engine.outputs
+        self._engine = plant_engine(PARTS.intersection(world.effects))
+        inputs: Any = self._engine.inputs
+        outputs: Any = self._engine.outputs
         self._state, self._command, self._noise = inputs["state"], inputs["command"], inputs["noise"]
         self.state = outputs["state"]
         self.pose = outputs["pose"]
@@ -87,11 +64,18 @@ class Plant:
             self._charge_used_c = depth * values["battery"][3]
         self._com_frd = values["com_frd"]
         self._line_m = values["payload"][1]
-        ticks = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
-        self.delay = Delay.of(ticks)
+        delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
+        self._delayed = max(delays) > 0.0
+        # `_sent`: past commands, newest tick first and within it the last motor first. `_delays`: for each
+        # motor, the two indices in `_sent` around its delay, and the fraction of a tick between them.
+        self._sent: deque[float] = deque(maxlen=4 * (int(max(delays)) + 2))
+        self._delays = [
+            (i, 4 * int(ticks) + 3 - i, 4 * int(ticks) + 7 - i, ticks - int(ticks))
+            for i, ticks in enumerate(delays)
+        ]
         self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
-        self._block = memoryview(array("d"))
-        self._at = self._block_address = 0
+        self._block = memoryview(b"")
+        self._at = self._end = 0
 
     def reset(self, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
         """Put the vehicle at rest at a pose, with rotors stopped and turbulence in its stationary state.
@@ -118,46 +102,31 @@ class Plant:
             "slide": [0.0, 0.0],
         }
         self.state[:] = pack(STATE, state)
-        self._block, self._at = memoryview(array("d")), 0
-        self.delay.sent[:] = memoryview(array("d", bytes(self.delay.sent.nbytes)))
+        self._at = self._end = 0
+        self._sent.extend([0.0] * (self._sent.maxlen or 0))
         self.pose[:] = memoryview(array("d", [*p_ned, 0.0, 0.0, 0.0, *q_ned_frd]))
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
     def step(self, motor_command: Sequence[float]) -> None:
         """Advance by one millisecond with constant motor commands in 0..1."""
-        command, delay = self._command, self.delay
-        if delay.sent:
-            sent = delay.sent
-            sent[4:] = sent[:-4]
-            sent[0], sent[1], sent[2], sent[3] = motor_command
-            for i, later, earlier, part in delay.motors:
-                newer = sent[later]
-                command[i] = newer + part * (sent[earlier] - newer)
+        at = self._at
+        if at == self._end and not self._calm:
+            self._draw_noise()
+            at = 0
+        command = self._command
+        if self._delayed:
+            sent = self._sent
+            sent.extendleft(motor_command)
+            for i, later, earlier, part in self._delays:
+                new = sent[later]
+                command[i] = new + part * (sent[earlier] - new)
         else:
             command[0], command[1], command[2], command[3] = motor_command
         if not self._calm:
-            if self._at == len(self._block):
-                self.noise_left()
-            at, self._at = self._at, self._at + NOISE
-            self._noise[:] = self._block[at : self._at]
+            self._at = after = at + 6
+            self._noise[:] = self._block[at:after]
         self._state[:] = self.state
-        self.engine()
-
-    def noise_left(self) -> int:
-        """Return for how many ticks noise has been drawn, at least one."""
-        if self._calm:
-            return _NOISE_BLOCK
-        if self._at == len(self._block):
-            self._block, self._at = self._rng.standard_normal(NOISE * _NOISE_BLOCK).data, 0
-            self._block_address = address(self._block)
-        return (len(self._block) - self._at) // NOISE
-
-    def take_noise(self, count: int) -> int | None:
-        """Return the address of the noise of the next ticks, at most `noise_left`; None in calm air."""
-        if self._calm:
-            return None
-        at, self._at = self._at, self._at + NOISE * count
-        return self._block_address + at * self._block.itemsize
+        self._engine()
 
     def _hanging(self, p_ned: Sequence[float]) -> list[float]:
         """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
@@ -165,6 +134,10 @@ class Plant:
         if z + self._line_m < 0.0:
             return [x, y, z + self._line_m + LINE_STRETCH_M]
         return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
+
+    def _draw_noise(self) -> None:
+        self._block = self._rng.standard_normal(6 * _NOISE_BLOCK).data
+        self._end = 6 * _NOISE_BLOCK
 
 
 @lru_cache(maxsize=32)

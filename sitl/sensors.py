@@ -3,30 +3,28 @@
 from __future__ import annotations
 
 import math
-from array import array
+import struct
 from collections import deque
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
 
 from trimtab.firmware_model.clock import NEVER_US
-from trimtab.host.codegen import address
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
 _LEAST_NOISE = 1e-9  # an IMU never repeats a value exactly; the vehicle would take it for stuck
 _BOW_PER_M = 0.02  # a tilted camera frame is also curved: its tilt changes along the direction of the lean
-SAMPLES = 7
-"""Numbers measured in a tick: gyro 3, specific force 3, voltage."""
+_SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: a busy computer that stamps the poses delays them by varying amounts
 )
 
 
 class Imu:
-    """Noise and bias of gyro, accelerometer and voltage, SAMPLES numbers per tick.
+    """Noise and bias of gyro, accelerometer and voltage: seven numbers per tick.
 
     Parameters
     ----------
@@ -44,34 +42,16 @@ class Imu:
         )
         self._noise[:6] = np.maximum(self._noise[:6], _LEAST_NOISE)
         bias = np.array([s.gyro_bias_rad_s] * 3 + [s.accelerometer_bias_m_s2] * 3 + [0.0])
-        self.bias = bias * rng.standard_normal(SAMPLES)
-        self._block = memoryview(array("d"))
-        self._at = self._address = 0
+        self.bias = bias * rng.standard_normal(7)
 
-    def left(self) -> int:
-        """Return for how many ticks errors have been drawn, at least one.
+    def errors(self) -> Iterator[tuple[float, ...]]:
+        """Yield the errors of each tick without end: gyro 3, specific force 3, voltage 1.
 
         They are drawn in blocks, and each block is used from its last row.
         """
-        if self._at == len(self._block):
-            rows = self._rng.standard_normal((_BLOCK, SAMPLES)) * self._noise + self.bias
-            self._block, self._at = rows[::-1].reshape(-1).data, 0
-            self._address = address(self._block)
-        return (len(self._block) - self._at) // SAMPLES
-
-    def take(self, count: int) -> int:
-        """Return the address of the errors of the next ticks, at most `left`."""
-        at, self._at = self._at, self._at + SAMPLES * count
-        return self._address + at * self._block.itemsize
-
-    def sample(self, sensed: Sequence[float]) -> tuple[float, ...]:
-        """Return the true values of a tick with its errors added."""
-        if self._at == len(self._block):
-            self.left()
-        at, self._at = self._at, self._at + SAMPLES
-        dp, dq, dr, dx, dy, dz, dv = self._block[at : self._at]
-        p, q, r, x, y, z, v = sensed
-        return p + dp, q + dq, r + dr, x + dx, y + dy, z + dz, v + dv
+        while True:
+            block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
+            yield from _SEVEN.iter_unpack(block[::-1].tobytes())
 
 
 class Pose(NamedTuple):
@@ -87,9 +67,8 @@ class Mocap:
     """A camera system: noisy poses at a fixed rate that arrive with a delay, or not at all.
 
     A pose shows the vehicle `latency_s` before its stamp, with a small variation between poses. Positions and
-    attitudes are rotated about the origin by `tilt`. `due_us` is the next time that `tick` has work,
-    `exposure_us` the next one at which it looks at the vehicle; `ready` holds the poses that were not read
-    yet.
+    attitudes are rotated about the origin by `tilt`. `due_us` is the next time that `tick` has work; `ready`
+    holds the poses that were not read yet.
 
     Parameters
     ----------
@@ -119,25 +98,25 @@ class Mocap:
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
         ]
         self._rows: list[list[float]] = []
-        self._true_us = 0.0
+        self._exposure_us = 0.0
         self._stamp_us = 0
         self._in_transit: deque[Pose] = deque()
         self.ready: list[Pose] = []
         self._next_exposure()
-        self.due_us = self.exposure_us
+        self.due_us = self._exposure_due_us
 
     def tick(self, now_us: int, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         """Take the exposures that are due, and move arrived poses to `ready`.
 
         `pose` is p_ned, v_ned, q_ned_frd of the vehicle at `now_us`; its motion within a tick is uniform.
         """
-        while self.exposure_us <= now_us:
-            self._expose((self._true_us - now_us) * 1e-6, pose, rate_frd)
+        while self._exposure_due_us <= now_us:
+            self._expose((self._exposure_us - now_us) * 1e-6, pose, rate_frd)
             self._next_exposure()
         while self._in_transit and self._in_transit[0].arrival_us <= now_us:
             self.ready.append(self._in_transit.popleft())
         arrival = self._in_transit[0].arrival_us if self._in_transit else NEVER_US
-        self.due_us = min(self.exposure_us, arrival)
+        self.due_us = min(self._exposure_due_us, arrival)
 
     def read(self) -> list[Pose]:
         """Return the poses that have arrived since the last call, oldest first."""
@@ -151,8 +130,8 @@ class Mocap:
         self._row = self._rows.pop()
         self._stamp_us += self._period_us
         late = self._latency_us * (1.0 + self._row[6])
-        self._true_us = max(self._stamp_us - late, 0.0)
-        self.exposure_us = int(self._true_us) // TICK_US * TICK_US
+        self._exposure_us = max(self._stamp_us - late, 0.0)
+        self._exposure_due_us = int(self._exposure_us) // TICK_US * TICK_US
 
     def _expose(self, dt_s: float, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         noise = self._row

@@ -1,7 +1,7 @@
 """A complete simulated vehicle: plant, sensors, flight and radio processors, ground radio and channel.
 
-Every device ticks on one clock in whole milliseconds. A device is called only in ticks in which it has work;
-plant and control law run every tick, several at once where nothing else looks at them. Nothing here reads a real clock: the same seeds give the same bytes.
+Every device ticks on one clock in whole milliseconds. A device that waits for bytes, slots or exposures is
+called only when it has work. Nothing here reads a real clock: the same seeds give the same bytes.
 """
 
 from __future__ import annotations
@@ -27,7 +27,6 @@ from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import draw_world
 from trimtab.sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
-from trimtab.sitl.inner_loop import InnerLoop
 from trimtab.sitl.memory import open_memory
 from trimtab.sitl.plant import Plant
 from trimtab.sitl.radio import RadioChannel
@@ -135,11 +134,13 @@ class SimulatedVehicle:
 
         Runs at least one tick if `t_us` lies ahead. Raises ForeignPlantError if a foreign plant fails.
         """
-        devices, port, camera = self._devices, self._host_port, self._camera
+        step, devices, command = self._step, self._devices, self._command
+        port, camera = self._host_port, self._camera
         now_us = self.now_us - self._booted_us
         t_us -= self._booted_us
         try:
             while now_us < t_us:
+                step(command)
                 now_us += TICK_US
                 devices(now_us)
                 if now_us >= port.due_us or camera.ready:
@@ -206,7 +207,6 @@ class SimulatedVehicle:
 
     def true_position(self) -> tuple[float, float, float]:
         """Return the true position, NED. For checks only."""
-        self._advance(self.now_us - self._booted_us)
         x, y, z = self._pose[0:3]
         return x, y, z
 
@@ -225,7 +225,6 @@ class SimulatedVehicle:
 
     def _reboot(self) -> None:
         """Restart all devices except the cameras' clock, with a full battery, and right a crashed vehicle."""
-        self._advance(self.now_us - self._booted_us)
         self.store = ReferenceStore(self.store.flash)
         self._power_up(self._flight, self._setting.place_after_reboot(self._pose), self.now_us)
 
@@ -236,10 +235,12 @@ class SimulatedVehicle:
         self.now_us = self._booted_us = now_us  # all devices count from here
         self._step_owner: Plant | ForeignPlant = self._build_plant(flight)
         self._step_owner.reset(place.p_ned, place.q_ned_frd)
+        self._step = self._step_owner.step
         self._pose: Any = self._step_owner.pose
         self._sensed: Any = self._step_owner.sensed
 
         self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
+        self._imu_errors = self._imu.errors()
         latency_s, tilt = 0.0, (0.0, 0.0)
         if setting.plant is None:
             latency_s = world.value("mocap-latency", "latency_s")
@@ -259,9 +260,8 @@ class SimulatedVehicle:
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
         )
+        self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick
-        self._loop = InnerLoop(self._step_owner, self._imu, self._flight_mcu, traced_law())
-        self._advance = self._loop.advance
         frame_bytes = world.radio.frame_bytes
         self._air_radio = RadioMcu(address=VEHICLE_RADIO, frame_bytes=frame_bytes, **serial)
         poses = 2 if world.mocap.rate_hz >= TWO_POSES_HZ else 1
@@ -292,11 +292,9 @@ class SimulatedVehicle:
         return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
 
     def _devices(self, now_us: int) -> None:
-        """Tick the devices that have work: camera, radios, then the flight processor."""
-        camera, mcu, timing = self._camera, self._flight_mcu, self._timing
+        """Tick all devices except the plant: camera, radios, then the flight processor."""
+        camera = self._camera
         if now_us >= camera.due_us:
-            if now_us >= camera.exposure_us:
-                self._advance(now_us)
             camera.tick(now_us, self._pose, self._sensed[0:3])
         if not self._wired:
             channel, ground, air = self._channel, self._ground_radio, self._air_radio
@@ -307,26 +305,19 @@ class SimulatedVehicle:
                 channel.wake(now_us, ground=True)
             if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
                 channel.wake(now_us, ground=False)
-        if now_us >= mcu.work_us or now_us >= mcu.uart.due_us or now_us >= timing.due_us:
-            self._flight_processor(now_us)
-
-    def _flight_processor(self, now_us: int) -> None:
-        """Run a tick of the flight processor that has work, unless it is still busy with an earlier one."""
-        self._advance(now_us)
-        loop, mcu, timing = self._loop, self._flight_mcu, self._timing
-        loop.pending = False
+        p, q, r, x, y, z, volts = self._sensed
+        dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
+        timing = self._timing
         if now_us >= timing.due_us and timing.missed(now_us):
-            mcu.work_us = 0  # the first tick after it catches up
-            return
-        p, q, r, x, y, z, volts = loop.samples
-        self._flight_tick(now_us, (p, q, r), (x, y, z), volts)
+            return  # still busy with an earlier tick; the motor command stays the same
+        self._flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
 
     # Profiling.
 
     def start_profile(self) -> None:
         """Start to measure the time spent in each part. Power cycles do not stop this."""
         timers = self._timers = self._timers or {}
-        self._advance = _timed(self._loop.advance, "plant and control law", timers)
+        self._step = _timed(self._step_owner.step, "plant", timers)
         self._flight_tick = _timed(self._flight_mcu.tick, "flight processor", timers)
         for device, part in (
             (self._camera, "camera"),

@@ -75,8 +75,6 @@ class Flight:
         Active rows of the failsafe table at the last update, bit k for Failsafe k.
     texts
         Severities and texts for people; the reader removes them.
-    engine, player
-        The law, and the playback of the present track.
     """
 
     def __init__(self, *, engine: Engine, parameters: ParameterValues) -> None:
@@ -95,7 +93,7 @@ class Flight:
         self.flight_ticks = 0
         self.monitor = ConditionMonitor(parameters)
 
-        self.engine = engine
+        self._engine = engine
         inputs, self.outputs = doubles(engine.inputs), doubles(engine.outputs)
         self._memory = inputs["memory"]
         self._memory_out = self.outputs["memory"]
@@ -112,7 +110,7 @@ class Flight:
             feedforward=self.feedforward,
             report=lambda text: self._report(_WARNING, text),
         )
-        self.player, self._offboard = self._phases.player, self._phases.offboard
+        self._player, self._offboard = self._phases.player, self._phases.offboard
 
         self._estimate = Estimate(inputs, parameters)
         self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
@@ -221,14 +219,14 @@ class Flight:
     def swap(self, reference: Track, at_us: int) -> None:
         """Track `reference` from now on. Its time 0 is `at_us`, which is not in the future."""
         self.reference, self.tracking_us, self.changed = reference, at_us, True
-        self.player.start(reference, at_us)
+        self._player.start(reference, at_us)
         self._report(_INFO, "reference swapped")
 
     # The tick.
 
     def tick(self, now_us: int, gyro: Sequence[float], force: Sequence[float]) -> None:
         """Run the engine once on these samples (FRD); its outputs hold the commands."""
-        player = self.player
+        player = self._player
         if now_us >= player.switch_us and player.switch(now_us):
             self._track_ended(now_us)
         has_pose = False
@@ -240,7 +238,7 @@ class Flight:
         view[0], view[1], view[2] = force
         player.piece[0] = (now_us - player.piece_us) * 1e-6
         player.yaw[0] = (now_us - player.yaw_us) * 1e-6
-        self.engine()
+        self._engine()
         self._memory[:] = self._memory_out
         if has_pose:
             self.poses.hide()
@@ -248,17 +246,6 @@ class Flight:
             self.flight_ticks += 1
             if self._saturated[0]:
                 self.saturated_ticks += 1
-
-    @property
-    def work_us(self) -> int:
-        """Time of the next tick that does more than run the law."""
-        return 0 if self._poses_waiting else self.player.switch_us
-
-    def count_law_ticks(self, count: int, saturated: int) -> None:
-        """Count ticks that only ran the law, some of them saturated."""
-        if self._flying:
-            self.flight_ticks += count
-            self.saturated_ticks += saturated
 
     def update(self, now_us: int, battery_v: float) -> None:
         """Check readiness, failsafes and touchdown; called every UPDATE_TICKS, after the tick."""
@@ -342,7 +329,7 @@ class Flight:
             self._climb(before, reference_state, height_m, now_us)
         elif state is State.TRACKING and self.reference is not None:
             self.tracking_us = now_us
-            self.player.start(self.reference, now_us)
+            self._player.start(self.reference, now_us)
         elif state is State.HOLD:
             self._hold(event, reference_state, now_us)
         elif state is State.OFFBOARD:

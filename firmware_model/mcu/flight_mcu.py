@@ -86,8 +86,6 @@ class FlightMcu:
         View of four numbers in 0..1, updated by each tick. The view itself never changes.
     reboot_us
         Time at which a station has asked the processor to reboot; NEVER_US before.
-    work_us
-        Time of the next tick that does more than run the control law, unless bytes arrive before.
     late_ticks
         Number of ticks that started later than one tick after the previous one.
     outbox
@@ -110,7 +108,6 @@ class FlightMcu:
     ) -> None:
         self.uart = flight_uart() if uart is None else uart
         self.reboot_us = NEVER_US
-        self.work_us = 0
         self.late_ticks = 0
         self.parameters = stored_parameters(parameters, store, vehicle_id)
         self.flight = Flight(engine=engine, parameters=self.parameters)
@@ -195,16 +192,6 @@ class FlightMcu:
         if now_us >= self._update_us:
             self._battery_v = battery_v
             self._update(now_us)
-        self.work_us = min(self._update_us, self._agreed_swap.at_us, self.flight.work_us)
-
-    def count_law_ticks(self, now_us: int, count: int, saturated: int) -> None:
-        """Count ticks up to `now_us` that only ran the law, which the owner of its engine may do itself.
-
-        These are the ticks before `work_us` in which no byte is due. `saturated` is the number of those in
-        which the motors were saturated.
-        """
-        self._last_us = now_us
-        self.flight.count_law_ticks(count, saturated)
 
     def _receive(self, now_us: int) -> None:
         """Handle the messages that have arrived; send the answers at once."""

@@ -10,7 +10,6 @@ from trimtab.host.codegen.engine import (
     sx_function,
 )
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.native import address, c_function, c_library
 from trimtab.host.codegen.ops import CASADI, LIBM, NUMPY
 
 __all__ = [
@@ -21,9 +20,6 @@ __all__ = [
     "CodegenError",
     "CompiledEngine",
     "Compiler",
-    "address",
-    "c_function",
-    "c_library",
     "compile_blocks",
     "compile_function",
     "find_compiler",
