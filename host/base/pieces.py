@@ -16,8 +16,7 @@ from typing import Any
 from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
-
-CONFIG, PIECES = "study.json", "pieces"
+from trimtab.host.base.shards import CONFIG, PIECES, Shard, ShardDone
 
 OnProgress = Callable[[float, float, str], None]
 """Called with the work done, the total, and a detail text."""
@@ -71,16 +70,19 @@ def run_pieces(
     folder: Path,
     config: Mapping[str, Any],
     jobs: int,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Compute every piece that has no file yet. Return the results of all pieces by name.
 
-    `config` identifies the study that the folder holds. Raises UsageError if it holds another one.
+    `config` identifies the study that the folder holds. `shard`: compute its pieces alone. Raises UsageError
+    if the folder holds another study, and ShardDone where pieces of other shards are missing at the end.
     """
     (folder / PIECES).mkdir(parents=True, exist_ok=True)
-    claim(folder, config)
-    total = sum(piece.weight for piece in pieces)
-    waiting = [piece for piece in pieces if not _file(folder, piece).is_file()]
+    claim(folder, config if shard is None else {**config, **shard.record()})
+    wanted = pieces if shard is None else shard.of(pieces)
+    total = sum(piece.weight for piece in wanted)
+    waiting = [piece for piece in wanted if not _file(folder, piece).is_file()]
     done = total - sum(piece.weight for piece in waiting)
     on_progress(done, total, "")
     if waiting:
@@ -98,6 +100,9 @@ def run_pieces(
             except BaseException:
                 pool.shutdown(cancel_futures=True)
                 raise
+    done_pieces = sum(_file(folder, piece).is_file() for piece in pieces)
+    if shard is not None and done_pieces < len(pieces):
+        raise ShardDone(shard, done_pieces, len(pieces))
     return {piece.name: json.loads(_file(folder, piece).read_text("utf-8")) for piece in pieces}
 
 

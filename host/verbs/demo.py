@@ -36,7 +36,7 @@ def command(
     from trimtab.host.apps.demo.session import WORLD, DemoRequest, run_demo
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
-    from trimtab.host.base.workers import cores
+    from trimtab.host.base.parallel import cores
     from trimtab.host.effects import load_effects
     from trimtab.host.trace.words import result_lines
     from trimtab.host.verbs.trace import manoeuvres

@@ -36,6 +36,12 @@ class StudyOptions:
     real
         TOML file with groups of recorded flights. They are also traced, and the error is measured on held-out
         flights. For blind.
+    shard
+        Run only part I of N of the study (I/N), such as 1/4. Several machines share a study so, each with its
+        own folder. For all studies but controller-tuning.
+    merge
+        Folder that --shard wrote; give the option once for each. Copy their files, and write the report of
+        the whole study.
     output
         Folder for state and report. Default: study-NAME-SEED in the workspace.
     """
@@ -47,6 +53,8 @@ class StudyOptions:
     quick: Annotated[bool, Parameter(negative="")] = False
     baselines: Annotated[bool, Parameter(negative="")] = False
     real: Path | None = None
+    shard: str | None = None
+    merge: tuple[Path, ...] = ()
     output: Output = None
     workspace: WorkspaceFolder = None
     json: Json = False
@@ -72,7 +80,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.parallel import check_jobs, cores
     from trimtab.host.base.progress import Progress
-    from trimtab.host.base.workers import cores
+    from trimtab.host.base.shards import ShardDone, merge, parse_shard
     from trimtab.host.studies import find_study, options_of
     from trimtab.host.workspace import open_workspace
 
@@ -80,15 +88,26 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     if options.seed < 0:
         raise UsageError(f"--seed {options.seed} is negative; give 0 or more")
     check_jobs(options.jobs)
+    settings = {"seed": options.seed, "worlds": options.worlds, "quick": options.quick}
+    shard = None if options.shard is None else parse_shard(options.shard, settings)
+    if options.merge and shard is not None:
+        raise UsageError("give --shard or --merge, not both")
     study_options = options_of(
         study,
         {
+            "shard": shard or options.merge or None,
             "worlds": options.worlds,
             "quick": options.quick,
             "with_baselines": options.baselines,
             "real": options.real,
         },
-        {"worlds": "--worlds", "quick": "--quick", "with_baselines": "--baselines", "real": "--real"},
+        {
+            "shard": "--merge" if options.merge else "--shard",
+            "worlds": "--worlds",
+            "quick": "--quick",
+            "with_baselines": "--baselines",
+            "real": "--real",
+        },
         name,
     )
     space = open_workspace(options.workspace)
@@ -96,15 +115,23 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     file = Path(options.vehicle)
     folder = options.output if options.output is not None else space.root / f"study-{name}-{options.seed}"
     artefacts.check_folder(folder, ())
-    with Progress(f"study {name}", total=1.0) as progress:
-        outcome = study(
-            folder=folder,
-            seed=options.seed,
-            vehicle=str(file.absolute()) if file.is_file() else options.vehicle,
-            jobs=options.jobs or cores(),
-            on_progress=lambda done, total, detail: progress.update(done, total=total, detail=detail),
-            **study_options,
-        )
+    if options.merge:
+        del study_options["shard"]
+        merge(options.merge, folder, settings)
+    try:
+        with Progress(f"study {name}", total=1.0) as progress:
+            outcome = study(
+                folder=folder,
+                seed=options.seed,
+                vehicle=str(file.absolute()) if file.is_file() else options.vehicle,
+                jobs=options.jobs or cores(),
+                on_progress=lambda done, total, detail: progress.update(done, total=total, detail=detail),
+                **study_options,
+            )
+    except ShardDone as end:
+        say(f"{end}; `trimtab study {name} --merge FOLDER...` joins the folders of all shards")
+        emit({"study": name, "shard": options.shard, "pieces": end.done, "of": end.total}, options.json)
+        return
     answer = _write(folder, outcome, artefacts.provenance(seed=options.seed))
     say(*outcome["lines"], f"the report is {answer['report']}")
     emit(answer, options.json)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
+from trimtab.host.base.shards import Shard, ShardDone
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import Ledger, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
@@ -66,6 +67,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     with_baselines: bool = False,
     real: Path | None = None,
     programme: Programme = BLIND,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the blind study, or resume it; return its outcome as plain data.
@@ -83,6 +85,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         File with groups of recorded flights that are traced too.
     programme
         Flights in every world.
+    shard
+        Fly and score its worlds alone.
 
     Raises
     ------
@@ -107,6 +111,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
             "vehicle": load_vehicle(vehicle).id,
             "references": {path.stem: sha256_of(path) for path in sorted(references.glob("*.ref"))},
             "kinds": sorted({kind for world in planned for kind in world.kinds}),
+            **({} if shard is None else shard.record()),
         })  # fmt: skip
         ledger = Ledger(folder / LEDGER)
         tasks = [
@@ -121,7 +126,10 @@ def run(  # noqa: PLR0913 (one keyword for each option)
             )
             for world in planned
         ]
-        _work(tasks, ledger, jobs, on_progress)
+        _work(tasks if shard is None else shard.of(tasks), ledger, jobs, on_progress)
+        scored = sum(map(is_done, tasks))
+        if shard is not None and scored < len(tasks):
+            raise ShardDone(shard, scored, len(tasks))
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
         recorded = judge_real(groups, folder, lambda detail: on_progress(done, done, detail))

@@ -20,6 +20,7 @@ import numpy as np
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, TRUTH, Programme, fly_and_seal, plan_references
@@ -42,6 +43,7 @@ def run(
     jobs: int,
     worlds: int = WORLDS,
     programme: Programme = TRACED,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Measure each rule in the worlds, and return the outcome: `answer`, `lines`, `tables` and `scores`.
@@ -75,6 +77,7 @@ def run(
         folder=folder,
         config=config,
         jobs=jobs,
+        shard=shard,
         on_progress=on_progress,
     )
     scores = {name: results[name]["result"] for name in names}

@@ -20,6 +20,7 @@ import numpy as np
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.kinds import DRAG
 from trimtab.sitl.studies.commandline import Answer, run_apart, run_inside
@@ -43,7 +44,7 @@ MODELS = {"traced": "trace.model.toml", "learned": "learned.model.toml"}
 _MODELS_DONE = "models.json"
 
 
-def run(
+def run(  # noqa: PLR0913 (one keyword for each choice)
     *,
     folder: Path,
     seed: int,
@@ -52,6 +53,7 @@ def run(
     worlds: int = WORLDS,
     quick: bool = False,
     programme: Programme = BLIND,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Fly without and with corrections, and return the outcome: `answer`, `lines`, `tables` and `scores`.
@@ -96,6 +98,7 @@ def run(
         folder=folder,
         config=config,
         jobs=jobs,
+        shard=shard,
         on_progress=on_progress,
     )
     scores = {name: results[name]["result"] for name in names}

@@ -14,6 +14,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import StudyError, write_whole
 from trimtab.sitl.studies.fuzz.run import run_fuzz
@@ -74,6 +75,7 @@ def run(
     vehicle: str,
     jobs: int,
     quick: bool = False,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the study and return its outcome: `answer` (the JSON object), `lines`, `tables` and `scores`.
@@ -95,7 +97,13 @@ def run(
     ]
     config = {"study": NAME, "seed": seed, "quick": quick}
     results = run_pieces(
-        pieces, partial(_do, seed=seed), folder=folder, config=config, jobs=jobs, on_progress=on_progress
+        pieces,
+        partial(_do, seed=seed),
+        folder=folder,
+        config=config,
+        jobs=jobs,
+        shard=shard,
+        on_progress=on_progress,
     )
     rows = _rows(parts, results)
     write_whole(folder / PICTURE, picture().encode())

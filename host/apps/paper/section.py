@@ -9,6 +9,7 @@ from typing import Any
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.vehicle import load_vehicle
 
 
@@ -35,6 +36,7 @@ def study_of(
         jobs: int,
         worlds: int = by_default,
         quick: bool = False,
+        shard: Shard | None = None,
         on_progress: OnProgress = lambda done, total, detail: None,
     ) -> dict[str, Any]:
         """Run the study and return its outcome: `answer` (the JSON object), `lines`, `scores` (all pieces).
@@ -48,7 +50,9 @@ def study_of(
         config = {"study": name, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick}
         work = partial(do, vehicle=vehicle, seed=seed)
         wanted = pieces(seed, worlds, quick)
-        found = run_pieces(wanted, work, folder=folder, config=config, jobs=jobs, on_progress=on_progress)
+        found = run_pieces(
+            wanted, work, folder=folder, config=config, jobs=jobs, shard=shard, on_progress=on_progress
+        )
         answer = {"study": name, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}
         return {**summary(answer, found), "scores": found}
 

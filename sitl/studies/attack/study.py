@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.attack import frames
 from trimtab.sitl.studies.attack.flights import ALLOWED, STATIONS, flood, interfere
@@ -42,6 +43,7 @@ def run(
     vehicle: str,
     jobs: int,
     quick: bool = False,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the study and return its outcome: `answer` (the JSON object), `lines`, `tables` and `scores`.
@@ -55,7 +57,13 @@ def run(
     pieces = list(_pieces(quick))
     config = {"study": NAME, "seed": seed, "quick": quick}
     results = run_pieces(
-        pieces, partial(_do, seed=seed), folder=folder, config=config, jobs=jobs, on_progress=on_progress
+        pieces,
+        partial(_do, seed=seed),
+        folder=folder,
+        config=config,
+        jobs=jobs,
+        shard=shard,
+        on_progress=on_progress,
     )
     rows: dict[str, list[Row]] = {}
     for piece in pieces:

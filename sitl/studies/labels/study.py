@@ -41,6 +41,7 @@ from trimtab.host.apps.paper.planning.compare import training_flights
 from trimtab.host.apps.paper.planning.courses import draw, draw_course
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import OnProgress, Piece, run_pieces
+from trimtab.host.base.shards import Shard
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.supervised import learn_supervised, residual_labels
 from trimtab.host.log import Flight
@@ -100,6 +101,7 @@ def run(
     jobs: int,
     worlds: int = WORLDS,
     quick: bool = False,
+    shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Learn, fly and compare, and return the outcome: `answer`, `lines`, `tables` and `scores`.
@@ -128,6 +130,7 @@ def run(
         folder=folder,
         config={"study": NAME, "seed": seed, "vehicle": load_vehicle(vehicle).id, "quick": quick},
         jobs=jobs,
+        shard=shard,
         on_progress=on_progress,
     )
     answer = {"study": NAME, "seed": seed, "worlds": worlds, "quick": quick, "folder": str(folder)}

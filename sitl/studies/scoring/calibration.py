@@ -14,7 +14,7 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.logs import read_logs
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import fit_closed_loop, prior_of, whitened_grams
-from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
+from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import repeatability_of, turbulence
 from trimtab.host.trace.flight_fit.whitening import Whitening, whitened
 from trimtab.host.trace.parameters import ParameterSpace, space
@@ -80,7 +80,7 @@ def _slope_power(
     loop: ClosedLoop,
     white: Whitening,
     residuals: Sequence[np.ndarray],
-    slopes: Sequence[np.ndarray],
+    slopes: Slopes,
     repeat_pairs: RepeatPairs,
 ) -> float:
     """Return the mean of (S e)^2 / |S|^2, with e the difference of two repeat flights over sqrt(2)."""

@@ -6,7 +6,8 @@ import os
 
 import pytest
 
-from trimtab.host.base.workers import cores, workers
+from trimtab.host.base.parallel import cores
+from trimtab.host.base.workers import workers
 
 
 @pytest.mark.parametrize("jobs", [1, 2])
