@@ -32,7 +32,7 @@ def command(
     courses
         Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
     """
-    from trimtab.host.apps.bench import control, flown, learning, planning, session
+    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
@@ -49,6 +49,7 @@ def command(
         size = replace(size, success=courses)
     craft = open_workspace(workspace).vehicle(vehicle)
     steps = len(learning.STEPS) + size.steps + flights.steps + len(control.STEPS)
+    found = machine.measure()
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
 
@@ -62,25 +63,42 @@ def command(
         progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
     say(
-        *_learning_lines(learned),
-        *_planning_lines(planned),
+        _machine_line(found),
+        *_learning_lines(learned, found["peak_gflops"]),
+        *_planning_lines(planned, found["peak_gflops"]),
         *_flown_lines(compared),
         *_control_lines(mpc),
         f"simulated sessions run {factor:.1f} times as fast as real time",
     )
     session_result = {"realtime_factor": factor}
-    result = {"learning": learned, "planning": planned, "flown": compared, "control": mpc}
+    result = {"machine": found, "learning": learned, "planning": planned, "flown": compared, "control": mpc}
     emit({**result, "session": session_result}, json)
 
 
-def _learning_lines(result: dict[str, Any]) -> list[str]:
+def _machine_line(result: dict[str, Any]) -> str:
+    """Return the machine's vector width, instructions and peak as a line of text."""
+    features = ", ".join(result["features"]) or "none known"
+    if result["lanes"] is None:
+        return f"vector instructions: {features}; no compiler"
+    return (
+        f"vector instructions: {features}; {result['lanes']} lanes, {result['peak_gflops']:.0f} Gflop/s at "
+        "most on one core"
+    )
+
+
+def _learning_lines(result: dict[str, Any], peak_gflops: float | None) -> list[str]:
     """Return the figures of learning as lines of text."""
+    from trimtab.host.apps.bench.machine import gradient_floor_ms
+
     gradient_ms = result["gradient_ms"]
     lines = [
         "gradient of 10 segments of 49 steps, network 2 x 32, double precision, one core:",
         f"  C over SIMD lanes        {'no compiler' if gradient_ms is None else f'{gradient_ms:8.2f} ms'}",
         f"  CasADi virtual machine   {result['gradient_vm_ms']:8.2f} ms",
     ]
+    floor_ms = gradient_floor_ms(peak_gflops, result["gradient_weights"], result["gradient_points"])
+    if floor_ms is not None:
+        lines.append(f"  floor of the network     {floor_ms:8.2f} ms: its arithmetic at the machine's peak")
     for row in result["peers"] or ():
         figures = f"{row['gradient_ms']:8.2f} ms, {row['over_ours']:.1f} times ours"
         lines.append(f"  {row['name']:<24} {figures}, compiled in {row['build_s']:.0f} s")
@@ -95,8 +113,11 @@ def _learning_lines(result: dict[str, Any]) -> list[str]:
     ]
 
 
-def _planning_lines(result: dict[str, Any]) -> list[str]:
+def _planning_lines(result: dict[str, Any], peak_gflops: float | None) -> list[str]:
     """Return the figures of planning as lines of text."""
+    from trimtab.host.apps.bench.machine import recursion_floor_ms
+    from trimtab.host.plan.dynamics import INPUTS, STATES
+
     lines = [
         f"min-residual*, network 2 x 32, {result['nodes']} intervals, processor time, median of "
         f"{result['planned']} of {result['courses']} courses:",
@@ -105,6 +126,12 @@ def _planning_lines(result: dict[str, Any]) -> list[str]:
         f"  solver, total time free  {_seconds(result['free_time_s'])}, "
         f"{result['free_time_planned']} of {result['free_time_courses']} courses",
     ]
+    floor_ms = recursion_floor_ms(peak_gflops, STATES + 2, INPUTS + 1, result["nodes"])
+    if floor_ms is not None and result["iterations_median"] is not None:
+        lines.append(
+            f"  floor of linear algebra  {1e-3 * floor_ms * result['iterations_median']:8.2f} s: "
+            f"{result['iterations_median']:.0f} factorisations of all intervals at the machine's peak"
+        )
     for row in result["scaling"]:
         label = f"  {row['nodes']} intervals".ljust(26)
         lines.append(

@@ -79,6 +79,8 @@ def measure(
     return {
         "gradient_ms": lanes_ms,
         "gradient_vm_ms": machine_ms,
+        "gradient_weights": PAPER_MLP.size,
+        "gradient_points": 4 * batch.count * batch.steps,
         "peers": beside,
         "adam_100_s": adam.seconds,
         "adam_test_rmse": acceleration_error(adam.candidate, sets["test"]).pointwise,
