@@ -1,10 +1,10 @@
 """Direct multiple shooting: many intervals joined into one sparse problem.
 
 The unknowns are the states at N + 1 nodes, the inputs of N intervals and the step sizes in units of their
-nominal value, one for each leg (paper eq. 11 with every h in a box). All are in the order of the nodes. A
-solver for optimal control (Fatrop) then sees a chain of stages, and one for sparse problems (Ipopt) a narrow
-band. A step size is an input of its leg's first interval and a state of the others. Where the total time is
-bounded, the elapsed time is a state too. Values that bounds fix become rows.
+nominal value, one for each leg (paper eq. 11 with every h in a box). All are in the order of the nodes, so a
+solver for sparse problems (Ipopt) sees a narrow band. A step size is an input of its leg's first interval and
+a state of the others. Where the total time is bounded, the elapsed time is a state too. Values that bounds
+fix become rows. `trimtab.host.plan.chain` has the same problem as a chain of equal stages.
 """
 
 from __future__ import annotations
@@ -14,7 +14,6 @@ from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import csc_matrix
 
 from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.places import Places
@@ -90,9 +89,7 @@ class Assembly:
         paths = np.append(bounded.sum(axis=0), 0)
         sizes = gaps + paths + np.bincount(fixed_stage, minlength=count + 1)
         start = np.concatenate([[0], np.cumsum(sizes)])
-        self.height, self.row_start_of = int(start[-1]), start[:-1]
-        self.row_stage = np.repeat(np.arange(count + 1), sizes)
-        self.is_gap = ranks(self.row_stage) < gaps[self.row_stage]
+        self.height = int(start[-1])
         self._gap_at = start[:-2, None] + np.arange(self.nx)
         after = start[:-2] + self.nx
         self._h_row = np.where(self._h_is_state[1:], after, -1)
@@ -189,16 +186,6 @@ class Assembly:
         self.upper = Pattern(parts, self.width, self.width)
         self._hessian_to, *self._hessian_places_to = (self.upper.find(*part) for part in parts)
 
-    @property
-    def whole_hessian(
-        self,
-    ) -> tuple[tuple[Annotated[Index, "entries"], Annotated[Index, "entries"]], Annotated[Index, "entries"]]:
-        """Rows and columns of the Hessian with both triangles, and the entry of the upper one for each."""
-        rows, columns, entry = self.upper.rows, self.upper.columns, np.arange(self.upper.count)
-        below = rows != columns
-        whole = np.concatenate([rows, columns[below]]), np.concatenate([columns, rows[below]])
-        return whole, np.concatenate([entry, entry[below]])
-
     # Numbers.
 
     def _set(self, w: Array) -> None:
@@ -294,15 +281,6 @@ class Assembly:
             i, j = np.triu_indices(3)
             out[self._hessian_places_to[0]] += gate_hessian[:, i, j].ravel()
         return out
-
-    def lagrangian_gradient(
-        self, w: Annotated[np.ndarray, "unknowns"], sigma: float, lam: Annotated[np.ndarray, "rows"]
-    ) -> Annotated[np.ndarray, "unknowns"]:
-        """Return the slope of sigma f + lam' g."""
-        values = self.jacobian(w)
-        pattern = self.slopes
-        matrix = csc_matrix((values, pattern.rows, pattern.starts), shape=(self.height, self.width))
-        return sigma * self.gradient(w) + matrix.T @ lam
 
     def start(self) -> Annotated[np.ndarray, "unknowns"]:
         """Return the start, clipped to the bounds, with fixed values set."""
