@@ -194,6 +194,12 @@ class Vehicle(Strict):
         fields = {name: getattr(self, name) for name in type(self).model_fields}
         return validate({**fields, **changes}, self.name, Vehicle)
 
+    def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
+        """Return a copy with these fields changed, unchecked; see `replace`."""
+        copy = super().model_copy(update=update, deep=deep)
+        copy.__dict__.pop("id", None)  # it is cached
+        return copy
+
     def to_toml(self) -> str:
         """Return the canonical TOML text. The same vehicle gives the same bytes, and reads back equal."""
         return write_toml(self)

@@ -108,7 +108,8 @@ def test_run_compiler_that_writes_half_a_library_raises(tmp_path, require):
     require("compiler")
     real = find_compiler()
     assert real is not None
-    script = f'{" ".join(real.command)} "$@" && truncate -s 2000 "${{6}}"'
+    find = 'for each; do [ "$before" = -o ] && library="$each"; before="$each"; done'
+    script = f'{find}; {" ".join(real.command)} "$@" && truncate -s 2000 "$library"'
     program = _program(tmp_path / "bin", "cc", script)
     with pytest.raises(CodegenError, match="made no usable library"):
         run_compiler("int x = 3;", Compiler(command=(str(program),), identity="script"), tmp_path)

@@ -74,6 +74,11 @@ def test_id_changes_with_content_and_not_with_comments(research: Vehicle) -> Non
     assert research.replace(mass_kg=0.753).id != research.id
 
 
+def test_id_of_a_copy_is_that_of_its_own_content(research: Vehicle) -> None:
+    assert research.id != research.model_copy(update={"mass_kg": 0.8}).id
+    assert research.model_copy().id == research.id
+
+
 def test_optional_observer_reaches_the_board_and_leaves_ids_without_it_alone(research: Vehicle) -> None:
     assert research.gains.observer is None
     assert "observer" not in research.to_toml()
