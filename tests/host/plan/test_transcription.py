@@ -176,6 +176,18 @@ def test_solve_passes_gates_where_their_rows_say(solver: Solver, require) -> Non
     assert np.linalg.norm(solution.x[:, 20] - [0.6, 0.3, 0.0]) <= 0.49 + 1e-6
 
 
+def test_optimum_has_the_same_bits_for_any_number_of_lanes(compiler_of_width, monkeypatch) -> None:
+    found = []
+    for lanes in (2, 4, 8):
+        monkeypatch.setattr(
+            "trimtab.host.codegen.compiler.find_compiler", lambda lanes=lanes: compiler_of_width(lanes)
+        )
+        found.append(_solve(_point(), _gates_alone(30), solver="interior point"))
+    for other in found[1:]:
+        assert other.iterations == found[0].iterations
+        np.testing.assert_array_equal(other.x, found[0].x)
+
+
 def _check_derivatives(whole: Assembly, size: float) -> None:
     rng = np.random.default_rng(0)
     w, lam = rng.uniform(0.5, 1.5, whole.width), rng.standard_normal(whole.height)
