@@ -81,7 +81,9 @@ def test_demo_whose_second_plan_and_flight_fail_still_reports(
     silent.write_text(SILENT, encoding="utf-8")
     fly = Airfield.fly
 
-    def fly_blind_with_effects(field: Airfield, *asked: Any, feedforward: Any, **asked_too: Any) -> Any:
+    def fly_blind_with_effects(
+        field: Airfield, *asked: Any, feedforward: Any = None, **asked_too: Any
+    ) -> Any:
         there = field if feedforward is None else dataclasses.replace(field, world=str(silent))
         return fly(there, *asked, feedforward=feedforward, **asked_too)
 
