@@ -37,7 +37,7 @@ _ARRAYS = (
     "z_high", "dz_low", "dz_high", "stages", "ahead", "filter",
 )  # fmt: skip
 _NUMBERS = (
-    "tolerance", "scale", "mu", "damping", "objective", "barrier", "violation", "greatest", "violation_most",
+    "tolerance", "mu", "damping", "objective", "barrier", "violation", "greatest", "violation_most",
     "violation_small",
 )  # fmt: skip
 
@@ -218,7 +218,6 @@ class Chain:
             costates=self._arrays["costate"].T.copy(),
             equations=equations.T,
             barrier=self.memory.mu,
-            scale=self.memory.scale,
         )
 
 

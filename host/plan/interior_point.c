@@ -68,7 +68,7 @@ typedef struct {
     Stage *stages;
     Ahead *ahead;
     double *filter;                      /* (filter_size, 2) */
-    double tolerance, scale, mu;         /* scale: of the objective; mu: barrier parameter */
+    double tolerance, mu;                /* mu: barrier parameter */
     double damping, objective, barrier, violation, greatest, violation_most, violation_small;
     long filtered;
 } Problem;
@@ -137,7 +137,7 @@ static int evaluate(Problem *p, const double *w, const double *s, double *object
             if (above < INFINITY) log_sum += log(above);
         }
     }
-    *objective = p->scale * f;
+    *objective = f;
     *barrier = *objective - p->mu * log_sum;
     *sum = total;
     *greatest = most;
@@ -198,9 +198,9 @@ static void differentiate(Problem *p) {
         t->ab[T_AT][T_AT] = 1.0;
         t->ab[T_AT][H_AT] = p->h0_s[k];
 #endif
-        for (int i = 0; i < NX; ++i) t->slope[i] = p->scale * lane(p->cost_slope, k, NZ, i);
-        for (int i = 0; i < NU; ++i) t->slope[X + i] = p->scale * lane(p->cost_slope, k, NZ, NX + i);
-        if (FREE) t->slope[H_AT] = p->scale * lane(p->cost_slope, k, NZ, NXU);
+        for (int i = 0; i < NX; ++i) t->slope[i] = lane(p->cost_slope, k, NZ, i);
+        for (int i = 0; i < NU; ++i) t->slope[X + i] = lane(p->cost_slope, k, NZ, NX + i);
+        if (FREE) t->slope[H_AT] = lane(p->cost_slope, k, NZ, NXU);
         if (FREE) t->slope[X + NU] = 0.0;
         if (TIMED) t->slope[T_AT] = 0.0;
         for (int i = 0, n = 0; i < NZ; ++i) for (int j = i; j < NZ; ++j, ++n) {
@@ -565,7 +565,7 @@ static void place_slacks(Problem *p) {
 int begin(Problem *p) {
     p->filtered = 0;
     p->damping = 0.0;
-    *p->sigma = splat(p->scale);
+    *p->sigma = splat(1.0);
     place_slacks(p);
     if (!evaluate(p, p->w, p->s, &p->objective, &p->barrier, &p->violation, &p->greatest)) return NOT_FINITE;
     p->violation_most = 1e4 * fmax(1.0, p->violation);

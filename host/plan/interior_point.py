@@ -31,7 +31,6 @@ def solve_chain(chain: Chain, *, tolerance: float, max_iterations: int) -> Solut
     known = problem.multipliers
     memory.tolerance = tolerance
     memory.mu = _FIRST_BARRIER if known is None else known.barrier
-    memory.scale = 1.0 if known is None else known.scale
     here = ctypes.byref(memory)
     with held_interrupts():  # C cannot pass on what its callback raises
         code = int(method.begin(here))
@@ -47,7 +46,7 @@ def solve_chain(chain: Chain, *, tolerance: float, max_iterations: int) -> Solut
         u=u,
         h=h,
         t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
-        cost=memory.objective / memory.scale,
+        cost=memory.objective,
         iterations=iterations,
         solve_s=0.0,
         multipliers=chain.multipliers(),

@@ -18,13 +18,12 @@ class Multipliers:
     """Lagrange multipliers at a solution of a chain (`trimtab.host.plan.chain`), for another one like it.
 
     costates: of the gaps before the nodes. equations: of the fixed quantities, zero where none is fixed; the
-    unknowns of a stage, then its path rows. barrier: the barrier parameter. scale: of the objective.
+    unknowns of a stage, then its path rows. barrier: the barrier parameter.
     """
 
     costates: Annotated[np.ndarray, "states nodes"]
     equations: Annotated[np.ndarray, "quantities nodes"]
     barrier: float
-    scale: float
 
 
 @dataclass(frozen=True, kw_only=True)
