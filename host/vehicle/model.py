@@ -197,7 +197,7 @@ class Vehicle(Strict):
     def model_copy(self, *, update: Mapping[str, Any] | None = None, deep: bool = False) -> Self:
         """Return a copy with these fields changed, unchecked; see `replace`."""
         copy = super().model_copy(update=update, deep=deep)
-        copy.__dict__.pop("id", None)  # it is cached
+        vars(copy).pop("id", None)  # it is cached
         return copy
 
     def to_toml(self) -> str:
