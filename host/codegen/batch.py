@@ -6,7 +6,6 @@ Both compute each lane with the arithmetic of the graph, so lanes do not depend 
 from __future__ import annotations
 
 import ctypes
-import logging
 from collections.abc import Mapping
 from functools import lru_cache
 
@@ -14,11 +13,9 @@ import casadi as ca
 import numpy as np
 
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.codegen.compiler import CodegenError, engine_choice, wanted_compiler
+from trimtab.host.codegen.compiler import compiled as made_in_c
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.simd import aligned, lane_count, lane_source, pointer, simd_library
-
-_log = logging.getLogger(__name__)
 
 _FEW = 8
 """Lanes below which CasADi is faster one by one: an operation on a vector takes 25 ns and 0.5 ns a lane."""
@@ -113,17 +110,9 @@ class Batch:
 @lru_cache(maxsize=64)
 def _library(function: ca.Function) -> ctypes.CDLL | None:
     """Return the compiled function over groups of lanes; None for CasADi's virtual machine."""
-    compiler = wanted_compiler()
-    if compiler is None:
-        return None
-    try:
-        library = simd_library(_source(function), compiler)
-    except (CodegenError, OSError) as error:
-        if engine_choice() == "c":
-            raise
-        _log.warning("%s; going on without it, slower", error)
-        return None
-    library.run.restype = None
+    library = made_in_c(lambda compiler: simd_library(_source(function), compiler))
+    if library is not None:
+        library.run.restype = None
     return library
 
 

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable, Sequence
+from functools import lru_cache
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -18,7 +19,7 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.simd import aligned, simd_library
-from trimtab.host.plan.kernel import Kernel
+from trimtab.host.plan.kernel import Kernel, point_in_lanes
 from trimtab.host.plan.places import Places
 from trimtab.host.plan.problem import Multipliers, Problem
 from trimtab.host.plan.stage import StageModel
@@ -99,13 +100,8 @@ class Chain:
     def _lanes(self, model: StageModel, kernel: Kernel) -> dict[str, NDArray[Any]]:
         """Return the arrays over lanes; lanes beyond the last interval repeat the first."""
         p, nz = self.problem, model.nx + model.nu + 1
-        lanes = kernel.lanes
-        groups = -(-self.count // lanes)
-        lane = np.zeros(groups * lanes, dtype=np.int64)
-        lane[: self.count] = np.arange(self.count)
-        z = aligned((groups, nz + 1 + model.np, lanes))
-        z[:, nz] = p.h0_s[lane].reshape(groups, lanes)
-        z[:, nz + 1 :] = p.parameters[:, lane].reshape(model.np, groups, lanes).swapaxes(0, 1)
+        lanes, z = kernel.lanes, point_in_lanes(nz, p.h0_s, p.parameters, kernel.lanes)
+        groups = len(z)
         sizes = {
             "x_next": model.nx,
             "cost": 1,
@@ -231,6 +227,11 @@ def _method(model: StageModel, kernel: Kernel, compiler: Compiler, free: int, ti
         values = ", ".join(map(str, numbers.tolist())) or "0"
         lines.append(f"static const int PATH_{name}[] = {{{values}}};")
     source = "\n".join([*lines, _SOURCE.read_text(encoding="utf-8")])
+    return _loaded(source, compiler)
+
+
+@lru_cache(maxsize=32)
+def _loaded(source: str, compiler: Compiler) -> ctypes.CDLL:
     method = simd_library(source, compiler)
     for name in ("stage_bytes", "ahead_bytes"):
         getattr(method, name).restype = ctypes.c_long

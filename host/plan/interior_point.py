@@ -5,8 +5,6 @@ from __future__ import annotations
 import ctypes
 from typing import Final
 
-import numpy as np
-
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.plan.chain import Chain
 from trimtab.host.plan.problem import Solution, SolveStatus
@@ -45,7 +43,7 @@ def solve_chain(chain: Chain, *, tolerance: float, max_iterations: int) -> Solut
         x=x,
         u=u,
         h=h,
-        t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
+        t_s=problem.times_s(h),
         cost=memory.objective,
         iterations=iterations,
         solve_s=0.0,

@@ -14,8 +14,8 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.compiler import compiled
-from trimtab.host.codegen.simd import aligned
-from trimtab.host.plan.kernel import Kernel, kernel
+from trimtab.host.codegen.simd import aligned, lanes_of
+from trimtab.host.plan.kernel import Kernel, kernel, point_in_lanes
 from trimtab.host.plan.stage import Stage, StageModel, build_stage
 
 Array = NDArray[np.float64]
@@ -129,15 +129,9 @@ class _Lanes:
         self._kernel, lanes = made, made.lanes
         count, nx, nu = len(h0_s), model.nx, model.nu
         nz = nx + nu + 1
-        self._groups = -(-count // lanes)
         # Lanes beyond the last interval repeat the first, so their numbers are finite; nobody reads them.
-        lane = np.zeros(self._groups * lanes, dtype=np.int64)
-        lane[:count] = np.arange(count)
-        self._lane = lane
-        self._shape = (self._groups, lanes)
-        self._z = aligned((self._groups, nz + 1 + model.np, lanes))
-        self._z[:, nz] = h0_s[lane].reshape(self._shape)
-        self._z[:, nz + 1 :] = parameters[:, lane].reshape(model.np, *self._shape).swapaxes(0, 1)
+        self._z = point_in_lanes(nz, h0_s, parameters, lanes)
+        self._groups = len(self._z)
         self._nx, self._nu = nx, nu
         self._xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
         self._sigma = aligned((1, lanes))
@@ -169,10 +163,6 @@ class _Lanes:
         flat = aligned((self._groups, size, lanes)).reshape(-1)
         return Output(flat=flat, at=at, rows=rows, columns=columns)
 
-    def _in_lanes(self, rows: Array) -> Array:
-        """Return (groups, columns, lanes) of (N, columns)."""
-        return rows[self._lane].reshape(*self._shape, -1).swapaxes(1, 2)
-
     def set(
         self,
         x: Annotated[np.ndarray, "intervals states"],
@@ -180,9 +170,10 @@ class _Lanes:
         h: Annotated[np.ndarray, "intervals"],
     ) -> None:
         nx, nu = self._nx, self._nu
-        self._z[:, :nx] = self._in_lanes(x)
-        self._z[:, nx : nx + nu] = self._in_lanes(u)
-        self._z[:, nx + nu] = h[self._lane].reshape(self._shape)
+        lanes = self._kernel.lanes
+        self._z[:, :nx] = lanes_of(x, lanes)
+        self._z[:, nx : nx + nu] = lanes_of(u, lanes)
+        self._z[:, nx + nu] = lanes_of(h, lanes)
 
     def values(self) -> None:
         self._call(self._kernel.values, self._z, self.x_next.flat, self.cost.flat, self.path.flat)
@@ -204,8 +195,8 @@ class _Lanes:
         lam_path: Annotated[np.ndarray, "intervals rows"],
     ) -> None:
         self._sigma[:] = sigma
-        self._lam_x[:] = self._in_lanes(lam_x)
-        self._lam_path[:] = self._in_lanes(lam_path)
+        self._lam_x[:] = lanes_of(lam_x, self._kernel.lanes)
+        self._lam_path[:] = lanes_of(lam_path, self._kernel.lanes)
         outputs = (self.x_slope.flat, self.cost_slope.flat, self.path_slope.flat, self.hessian.flat)
         self._call(self._kernel.hessians, self._z, self._sigma, self._lam_x, self._lam_path, *outputs)
 

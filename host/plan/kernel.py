@@ -23,7 +23,15 @@ import numpy as np
 from trimtab.host.codegen import simd
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.codegen.simd import LAYERS, RK4, lane_count, lane_source, simd_library
+from trimtab.host.codegen.simd import (
+    LAYERS,
+    RK4,
+    aligned,
+    lane_count,
+    lane_source,
+    lanes_of,
+    simd_library,
+)
 from trimtab.host.models import kernel as models_kernel
 from trimtab.host.models.kernel import network_ends
 from trimtab.host.models.network import Layout
@@ -95,6 +103,19 @@ def kernel(model: StageModel, compiler: Compiler) -> Kernel:
         rows=rows,
         lanes=lane_count(library),
     )
+
+
+def point_in_lanes(
+    unknowns: int,
+    h0_s: Annotated[np.ndarray, "intervals"],
+    parameters: Annotated[np.ndarray, "parameters intervals"],
+    lanes: int,
+) -> Annotated[np.ndarray, "groups rows lanes"]:
+    """Return the kernel's input: room for the unknowns, then the nominal steps and the parameters."""
+    given = lanes_of(np.column_stack([h0_s, parameters.T]), lanes)
+    z = aligned((len(given), unknowns + given.shape[1], lanes))
+    z[:, unknowns:] = given
+    return z
 
 
 def kernel_key(model: StageModel) -> str:

@@ -73,6 +73,10 @@ class Problem:
         """Number of legs, each with one step size."""
         return int(self.leg_of[-1]) + 1
 
+    def times_s(self, h: Annotated[np.ndarray, "legs"]) -> Annotated[np.ndarray, "nodes"]:
+        """Return the nodes' times with these step sizes, in units of h0_s."""
+        return np.concatenate([[0.0], np.cumsum(h[self.leg_of] * self.h0_s)])
+
     @property
     def steps_free(self) -> bool:
         """Whether the step sizes are unknowns."""

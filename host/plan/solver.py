@@ -174,7 +174,7 @@ def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solutio
         x=x,
         u=u,
         h=h,
-        t_s=np.concatenate([[0.0], np.cumsum(h[problem.leg_of] * problem.h0_s)]),
+        t_s=problem.times_s(h),
         cost=assembly.objective(w_end),
         iterations=int(stats["iter_count"]),
         solve_s=0.0,

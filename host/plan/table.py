@@ -137,9 +137,9 @@ def yaw_acceleration_at(
     times, yaw, rate = (np.array(column, dtype=float) for column in zip(*yaws, strict=True))
     piece = np.clip(np.searchsorted(times, at, side="right") - 1, 0, len(times) - 2)
     length_s = (times[piece + 1] - times[piece]) * 1e-6
-    bends = cubic_coefficients(length_s, yaw[piece], rate[piece], yaw[piece + 1], rate[piece + 1])
-    bend = np.asarray(cubic_acceleration(bends, (at - times[piece]) * 1e-6))
-    return np.where((at < times[0]) | (at > times[-1]), 0.0, bend)
+    coefficients = cubic_coefficients(length_s, yaw[piece], rate[piece], yaw[piece + 1], rate[piece + 1])
+    acceleration = np.asarray(cubic_acceleration(coefficients, (at - times[piece]) * 1e-6))
+    return np.where((at < times[0]) | (at > times[-1]), 0.0, acceleration)
 
 
 def flat_states(
