@@ -21,6 +21,10 @@ from trimtab.host.codegen.compiler import (
 FAKE = Compiler(command=("no-such-compiler",), identity="fake 1")
 
 
+_FIND = 'for each; do [ "$before" = -o ] && library="$each"; before="$each"; done'
+"""Shell that sets $library to the file that a compiler is asked to write."""
+
+
 def _program(folder: Path, name: str, script: str) -> Path:
     folder.mkdir(exist_ok=True)
     path = folder / name
@@ -91,10 +95,10 @@ def test_engine_choice_of_another_word_raises_with_the_choices(monkeypatch):
     [
         ("echo 'math.h: not found' >&2; exit 1", r"C compiler cc failed: math\.h: not found"),
         ("exit 3", "C compiler cc failed: exit code 3"),
-        ('echo part > "${6}"; exit 1', "C compiler cc failed: exit code 1"),
+        (f'{_FIND}; echo part > "$library"; exit 1', "C compiler cc failed: exit code 1"),
         ("kill -9 $$", "C compiler cc failed: it was ended by signal 9"),
         ("exit 0", "C compiler cc made no usable library"),
-        ('echo part > "${6}"', "C compiler cc made no usable library"),
+        (f'{_FIND}; echo part > "$library"', "C compiler cc made no usable library"),
     ],
 )
 def test_run_compiler_that_fails_raises_in_one_line(tmp_path, script, message):
@@ -108,8 +112,7 @@ def test_run_compiler_that_writes_half_a_library_raises(tmp_path, require):
     require("compiler")
     real = find_compiler()
     assert real is not None
-    find = 'for each; do [ "$before" = -o ] && library="$each"; before="$each"; done'
-    script = f'{find}; {" ".join(real.command)} "$@" && truncate -s 2000 "$library"'
+    script = f'{_FIND}; {" ".join(real.command)} "$@" && truncate -s 2000 "$library"'
     program = _program(tmp_path / "bin", "cc", script)
     with pytest.raises(CodegenError, match="made no usable library"):
         run_compiler("int x = 3;", Compiler(command=(str(program),), identity="script"), tmp_path)
