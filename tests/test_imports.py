@@ -59,6 +59,7 @@ EDGES: dict[str, tuple[str, ...]] = {
         "host.learn",
         "host.models",
         "host.plan",
+        "host.shooting",
         "host.trace",
     ),
     "cyclopts": ("host.cli", "host.verbs"),

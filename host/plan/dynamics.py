@@ -21,8 +21,8 @@ from trimtab.host.codegen import CASADI, NUMPY
 from trimtab.host.models.airframe import RATE, THETA, THRUST, P, Part, V
 from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.plan.residual import ResidualModel
-from trimtab.host.plan.stage import StageModel
 from trimtab.host.plan.tracking_error import ERROR_RATE, ERROR_STATES, error_cost, error_derivative
+from trimtab.host.shooting.stage import StageModel
 from trimtab.host.vehicle import Limits, Vehicle
 
 Array = NDArray[np.float64]

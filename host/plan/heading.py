@@ -14,7 +14,7 @@ from trimtab.host.codegen import NUMPY
 from trimtab.host.models.airframe import RATE, THETA, P, Part, V
 from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.plan.dynamics import Dynamics
-from trimtab.host.plan.problem import Solution
+from trimtab.host.shooting.problem import Solution
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import YawNode
 

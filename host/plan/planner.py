@@ -31,11 +31,11 @@ from trimtab.host.plan.box import within_region
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.heading import check_turnable
 from trimtab.host.plan.job import Job
-from trimtab.host.plan.problem import NODES_MAX
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import MINIMISED, Kind, Plan, Settings, label, parse_kind
 from trimtab.host.plan.stretch import plan_snap
 from trimtab.host.route import TIME_MAX_S, LimitsOverride, Route, check_route
+from trimtab.host.shooting.problem import NODES_MAX
 from trimtab.host.vehicle import Limits, Vehicle
 
 

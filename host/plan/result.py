@@ -10,7 +10,7 @@ from typing import Literal
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.base.errors import Refused, SolverError, UsageError
 from trimtab.host.plan.dynamics import Minimised, Weights
-from trimtab.host.plan.problem import SolveStatus
+from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import Reference
 

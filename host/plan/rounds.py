@@ -19,10 +19,8 @@ from trimtab.host.models.airframe import P
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import YAW
 from trimtab.host.plan.heading import yaw_nodes
-from trimtab.host.plan.intervals import Engine
 from trimtab.host.plan.job import Effort, Job
 from trimtab.host.plan.judge import Judged, measure
-from trimtab.host.plan.problem import Problem, Solution, SolveStatus
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import MINIMISED, Plan, PlanRefused, PlanUnsolved
@@ -41,9 +39,11 @@ from trimtab.host.plan.shooting import (
     table_start,
     yaw_profile,
 )
-from trimtab.host.plan.solver import solve
 from trimtab.host.plan.table import from_reference
 from trimtab.host.plan.tracking_error import with_error
+from trimtab.host.shooting.intervals import Engine
+from trimtab.host.shooting.problem import Problem, Solution, SolveStatus
+from trimtab.host.shooting.solver import solve
 from trimtab.protocol.blobs import YawNode
 
 _YAW_SETTLED = np.radians(2.0)

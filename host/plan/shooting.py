@@ -23,12 +23,12 @@ from trimtab.host.plan.dynamics import (
     Dynamics,
     Weights,
 )
-from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.places import GATE_ROWS
-from trimtab.host.plan.problem import NODES_MAX, Multipliers, Problem, Solution
 from trimtab.host.plan.smooth import fit
 from trimtab.host.plan.table import Table, evaluate, flat_states, yaw_at
 from trimtab.host.route import Gate
+from trimtab.host.shooting.intervals import Engine
+from trimtab.host.shooting.places import GATE_ROWS
+from trimtab.host.shooting.problem import NODES_MAX, Multipliers, Problem, Solution
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import YawNode
 

@@ -21,7 +21,7 @@ import casadi as ca
 import numpy as np
 
 from trimtab.host.models.airframe import STATE_SIZE
-from trimtab.host.plan.problem import Problem
+from trimtab.host.shooting.problem import Problem
 from trimtab.host.vehicle import Vehicle
 
 ERROR, ERROR_RATE = slice(STATE_SIZE, STATE_SIZE + 3), slice(STATE_SIZE + 3, STATE_SIZE + 6)

@@ -14,7 +14,6 @@ from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE
 from trimtab.host.plan.files import figures
 from trimtab.host.plan.judge import Passing, inside_gates, passings
 from trimtab.host.plan.pareto import Point, tabulate
-from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.plan.profile import Profile, profile, with_nodes
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import Plan
@@ -24,6 +23,7 @@ from trimtab.host.report import plan_figures, trade_figures
 from trimtab.host.report.html import render, script_data
 from trimtab.host.report.plan_path import path
 from trimtab.host.route import Route
+from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import Limits, Vehicle
 
 _LIMITS = {

@@ -15,8 +15,8 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.plan.problem import Problem
-from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel
+from trimtab.host.shooting.problem import Problem
+from trimtab.host.shooting.stage import NETWORK_INPUTS, StageModel
 
 Array = NDArray[np.float64]
 

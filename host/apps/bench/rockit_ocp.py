@@ -15,8 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.apps.bench.naive import SOLVED, Ended, Pieces, ipopt, pieces
-from trimtab.host.plan.problem import Problem
-from trimtab.host.plan.stage import StageModel
+from trimtab.host.shooting.problem import Problem
+from trimtab.host.shooting.stage import StageModel
 
 Array = NDArray[np.float64]
 

@@ -21,9 +21,9 @@ from trimtab.host.plan.heading import SPACING_US, fastest_turn, yaw_nodes
 from trimtab.host.plan.judge import judge
 from trimtab.host.plan.planner import make_job
 from trimtab.host.plan.rounds import first_round
-from trimtab.host.plan.stage import build_stage
 from trimtab.host.plan.table import from_reference, yaw_at
 from trimtab.host.route import YawProfile, load_route
+from trimtab.host.shooting.stage import build_stage
 from trimtab.host.vehicle import load_vehicle, to_parameters
 from trimtab.protocol.blobs import YawNode
 

@@ -15,9 +15,9 @@ from trimtab.host.effects import load_effects
 from trimtab.host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.pareto import COLUMNS, Point, pareto, tabulate
-from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.plan.table import evaluate, from_reference
 from trimtab.host.route import Route
+from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")

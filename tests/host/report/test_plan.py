@@ -18,7 +18,6 @@ from trimtab.host.models.region import Region
 from trimtab.host.plan import Plan, ResidualModel, plan
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.pareto import Point
-from trimtab.host.plan.problem import SolveStatus
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.sensitivity import sensitivity
 from trimtab.host.plan.table import from_reference
@@ -27,6 +26,7 @@ from trimtab.host.report.plan import page, trade_page
 from trimtab.host.report.plan_path import path
 from trimtab.host.route import Gate, Route
 from trimtab.host.route.shapes import Box, Cylinder, Sphere
+from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")

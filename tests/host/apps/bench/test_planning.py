@@ -17,8 +17,8 @@ from trimtab.host.plan.job import Job
 from trimtab.host.plan.planner import make_job
 from trimtab.host.plan.rounds import first_round
 from trimtab.host.plan.snap import optimise_durations, solve_snap
-from trimtab.host.plan.solver import solve
 from trimtab.host.route import Route
+from trimtab.host.shooting.solver import solve
 from trimtab.host.vehicle import ConfigurationError, load_vehicle
 
 VEHICLE = load_vehicle("research")

@@ -14,14 +14,14 @@ from trimtab.host.codegen import CASADI
 from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
-from trimtab.host.plan import intervals
-from trimtab.host.plan import kernel as kernel_module
 from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Minimised, Weights
-from trimtab.host.plan.intervals import Engine, Intervals
-from trimtab.host.plan.kernel import kernel_key
 from trimtab.host.plan.residual import ResidualModel
-from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel, build_stage
 from trimtab.host.plan.tracking_error import ERROR_RATE, ERROR_STATES
+from trimtab.host.shooting import intervals
+from trimtab.host.shooting import kernel as kernel_module
+from trimtab.host.shooting.intervals import Engine, Intervals
+from trimtab.host.shooting.kernel import kernel_key
+from trimtab.host.shooting.stage import NETWORK_INPUTS, StageModel, build_stage
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 _EFFECTS = load_effects()

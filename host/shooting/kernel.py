@@ -2,7 +2,7 @@
 
 A lane is an interval. Dynamics, cost and path rows are emitted from their SX graphs. RK4, its sensitivities,
 its adjoint and the network are loops in `kernel.c`. The network's weights are data, so neither learning nor
-another course or limit rebuilds anything. `trimtab.host.plan.stage` has the same derivatives without a
+another course or limit rebuilds anything. `trimtab.host.shooting.stage` has the same derivatives without a
 compiler.
 """
 
@@ -35,8 +35,8 @@ from trimtab.host.codegen.simd import (
 from trimtab.host.models import kernel as models_kernel
 from trimtab.host.models.kernel import network_ends
 from trimtab.host.models.network import Layout
-from trimtab.host.plan import stage
-from trimtab.host.plan.stage import NETWORK_INPUTS, StageModel
+from trimtab.host.shooting import stage
+from trimtab.host.shooting.stage import NETWORK_INPUTS, StageModel
 
 _SOURCE = Path(__file__).parent / "kernel.c"
 _GENERATORS = (

@@ -15,7 +15,7 @@ NODES_MAX = 1600
 
 @dataclass(frozen=True, kw_only=True)
 class Multipliers:
-    """Lagrange multipliers at a solution of a chain (`trimtab.host.plan.chain`), for another one like it.
+    """Lagrange multipliers at a solution of a chain (`trimtab.host.shooting.chain`), for another one like it.
 
     costates: of the gaps before the nodes. equations: of the fixed quantities, zero where none is fixed; the
     unknowns of a stage, then its path rows. barrier: the barrier parameter.
@@ -33,7 +33,7 @@ class Problem:
     leg_of: leg of each interval, ascending from 0. h0_s: nominal steps. Bounds are low, high. h_bounds: in
     units of h0_s; where both are 1 the steps are no unknowns. total_bounds_s: of the whole time; equal ones
     pin it. gates: frame, row by row, and centre of the gate at each interval's first node; None without any.
-    Their rows follow the vehicle's path rows (`trimtab.host.plan.places`). near: the start is near the
+    Their rows follow the vehicle's path rows (`trimtab.host.shooting.places`). near: the start is near the
     solution; multipliers: those there, if known to the interior point method.
     """
 

@@ -9,14 +9,14 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.places import Places
-from trimtab.host.plan.problem import Problem, SolveStatus
-from trimtab.host.plan.solver import Solver, solve
-from trimtab.host.plan.stage import StageModel
-from trimtab.host.plan.transcription import Assembly
 from trimtab.host.route import Gate
 from trimtab.host.route.shapes import Sphere
+from trimtab.host.shooting.intervals import Engine
+from trimtab.host.shooting.places import Places
+from trimtab.host.shooting.problem import Problem, SolveStatus
+from trimtab.host.shooting.solver import Solver, solve
+from trimtab.host.shooting.stage import StageModel
+from trimtab.host.shooting.transcription import Assembly
 
 INF = np.inf
 

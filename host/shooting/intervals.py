@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.codegen.compiler import compiled
 from trimtab.host.codegen.simd import aligned, lanes_of
-from trimtab.host.plan.kernel import Kernel, kernel, point_in_lanes
-from trimtab.host.plan.stage import Stage, StageModel, build_stage
+from trimtab.host.shooting.kernel import Kernel, kernel, point_in_lanes
+from trimtab.host.shooting.stage import Stage, StageModel, build_stage
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

@@ -6,8 +6,8 @@ import ctypes
 from typing import Final
 
 from trimtab.host.codegen.interrupts import held_interrupts
-from trimtab.host.plan.chain import Chain
-from trimtab.host.plan.problem import Solution, SolveStatus
+from trimtab.host.shooting.chain import Chain
+from trimtab.host.shooting.problem import Solution, SolveStatus
 
 _FIRST_BARRIER = 0.1
 """Barrier parameter of a start without multipliers."""

@@ -19,11 +19,11 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.simd import aligned, simd_library
-from trimtab.host.plan.kernel import Kernel, point_in_lanes
-from trimtab.host.plan.places import Places
-from trimtab.host.plan.problem import Multipliers, Problem
-from trimtab.host.plan.stage import StageModel
 from trimtab.host.route.shapes import Shape
+from trimtab.host.shooting.kernel import Kernel, point_in_lanes
+from trimtab.host.shooting.places import Places
+from trimtab.host.shooting.problem import Multipliers, Problem
+from trimtab.host.shooting.stage import StageModel
 
 Array = NDArray[np.float64]
 

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from trimtab.host.codegen.compiler import compiled
-from trimtab.host.plan.chain import Chain
-from trimtab.host.plan.interior_point import solve_chain
-from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.problem import Problem, Solution, SolveStatus
-from trimtab.host.plan.transcription import Assembly
 from trimtab.host.route.shapes import Shape
+from trimtab.host.shooting.chain import Chain
+from trimtab.host.shooting.interior_point import solve_chain
+from trimtab.host.shooting.intervals import Engine
+from trimtab.host.shooting.problem import Problem, Solution, SolveStatus
+from trimtab.host.shooting.transcription import Assembly
 
 Array = NDArray[np.float64]
 Solver = Literal["interior point", "ipopt"]

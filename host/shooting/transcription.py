@@ -4,7 +4,7 @@ The unknowns are the states at N + 1 nodes, the inputs of N intervals and the st
 nominal value, one for each leg (paper eq. 11 with every h in a box). All are in the order of the nodes, so a
 solver for sparse problems (Ipopt) sees a narrow band. A step size is an input of its leg's first interval and
 a state of the others. Where the total time is bounded, the elapsed time is a state too. Values that bounds
-fix become rows. `trimtab.host.plan.chain` has the same problem as a chain of equal stages.
+fix become rows. `trimtab.host.shooting.chain` has the same problem as a chain of equal stages.
 """
 
 from __future__ import annotations
@@ -15,11 +15,11 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.plan.intervals import Engine
-from trimtab.host.plan.places import Places
-from trimtab.host.plan.problem import Problem
-from trimtab.host.plan.sparse import Pattern, ranks
 from trimtab.host.route.shapes import Shape
+from trimtab.host.shooting.intervals import Engine
+from trimtab.host.shooting.places import Places
+from trimtab.host.shooting.problem import Problem
+from trimtab.host.shooting.sparse import Pattern, ranks
 
 Array = NDArray[np.float64]
 Index = NDArray[np.int64]

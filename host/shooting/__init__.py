@@ -1,0 +1,1 @@
+"""Multiple shooting: problems over many intervals, their derivatives in C or CasADi, and their solvers."""
