@@ -32,6 +32,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
         *LEAVES,
         "host.effects",
         "host.models",
+        "host.shooting",
         "protocol",
         "firmware_model.law",
     ),

@@ -16,7 +16,7 @@ from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
 from trimtab.host.control.dynamics import COLLECTIVE, DISTURBANCE, STATES, ControlModel
 from trimtab.host.control.interface import Controller, ControlStep, RateCommand, StateEstimate, Triple
-from trimtab.host.control.sweeps import sweeps
+from trimtab.host.control.prediction import advance_function
 from trimtab.host.models.airframe import RATE, THETA, P, V
 from trimtab.host.models.reference import flat_outputs
 from trimtab.protocol.blobs import Reference
@@ -43,7 +43,7 @@ class Plant:
 
     def __init__(self, model: ControlModel, disturbance_ned: Triple = (0.0, 0.0, 0.0)) -> None:
         self.weight_n = model.weight_n
-        self._call = Buffered(compile_function(sweeps(model, 1).advance)[0])
+        self._call = Buffered(compile_function(advance_function(model))[0])
         inputs = self._call.inputs
         inputs["p"][0], inputs["xi"][0] = model.parameters, model.weights
         inputs["p"][0, DISTURBANCE] = disturbance_ned

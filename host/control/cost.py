@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from typing import Annotated, NamedTuple
 
 import casadi as ca
+import numpy as np
 
 from trimtab.host.control.dynamics import INPUTS, STATES
 from trimtab.host.models.airframe import THETA
@@ -24,29 +25,25 @@ class CostPlaces(NamedTuple):
     tilt_cos: int = 31
     low: slice = slice(32, 36)
     high: slice = slice(36, 40)
-    size: int = 40
 
 
 COST = CostPlaces()
+STAGE_SIZE = STATES + INPUTS + 2
+"""Number of a stage's parameters: the weights of states and inputs, that of the tilt, and its limit."""
 
 
-def cost_terms(*, terminal: bool) -> ca.Function:
-    """Return (x, u, reference, cost) -> value, gradient in x, in u, Hessian in x (Gauss-Newton)."""
-    x, u = ca.SX.sym("x", STATES), ca.SX.sym("u", INPUTS)
-    reference, cost = ca.SX.sym("reference", STATES + INPUTS), ca.SX.sym("cost", COST.size)
-    weight = cost[COST.terminal if terminal else COST.state]
-    error, input_error = x - reference[:STATES], u - reference[STATES:]
-    if terminal:
-        input_error = ca.SX(INPUTS, 1)
-    tilt_cos = ca.cos(x[THETA.start]) * ca.cos(x[THETA.start + 1])
-    shortfall = ca.fmax(cost[COST.tilt_cos] - tilt_cos, 0.0)
-    value = 0.5 * (
-        ca.dot(weight, error * error)
-        + ca.dot(cost[COST.input], input_error * input_error)
-        + cost[COST.tilt] * shortfall * shortfall
-    )
-    by_shortfall = ca.jacobian(shortfall, x)
-    hessian = ca.diag(weight) + cost[COST.tilt] * by_shortfall.T @ by_shortfall
-    outputs = [value, ca.densify(ca.gradient(value, x)), cost[COST.input] * input_error, ca.densify(hessian)]
-    name = "terminal_cost" if terminal else "stage_cost"
-    return ca.Function(name, [x, u, reference, cost], outputs, {"cse": True})
+def stage_parameters(
+    cost: Annotated[np.ndarray, "parameters"], stages: int
+) -> Annotated[np.ndarray, "parameters stages+1"]:
+    """Return the parameters of the stages, and those of one more, whose states are at the horizon's end."""
+    shared = [*cost[COST.input], cost[COST.tilt], cost[COST.tilt_cos]]
+    columns = [np.append(cost[COST.state], shared)] * stages + [np.append(cost[COST.terminal], shared)]
+    return np.column_stack(columns)
+
+
+def stage_cost(x: ca.SX, u: ca.SX, target: ca.SX, p: ca.SX) -> ca.SX:
+    """Return the cost of a stage. target: of states and inputs (17); p: column of `stage_parameters`."""
+    error = ca.vertcat(x, u) - target
+    tilt, tilt_cos = p[STATES + INPUTS], p[STATES + INPUTS + 1]
+    shortfall = ca.fmax(tilt_cos - ca.cos(x[THETA.start]) * ca.cos(x[THETA.start + 1]), 0.0)
+    return 0.5 * (ca.dot(p[: STATES + INPUTS], error * error) + tilt * shortfall * shortfall)

@@ -135,3 +135,10 @@ class ControlModel:
 def rigid(x: Sequence[Any]) -> list[Any]:
     """Return the state of `trimtab.host.models` (16) with the collective thrust shared by the rotors."""
     return [*x[: RATE.stop], *[0.25 * x[COLLECTIVE]] * 4]
+
+
+def network_acceleration(model: ControlModel, xi: ca.MX, x: ca.MX) -> ca.MX:
+    """Return the acceleration (3, n), m/s^2 NED, of the network with weights `xi` at states (13, n)."""
+    if model.network is None:
+        return ca.MX(ca.DM.zeros(3, x.shape[1]))
+    return model.network.layout.matrices(xi, x[NETWORK_STATE, :])

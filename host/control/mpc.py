@@ -60,7 +60,13 @@ class Mpc:
         self.settings = settings
         self._model = ControlModel.of(vehicle, settings.rate_lag_s, model, effects)
         cost = cost_parameters(settings, self._model)
-        self._solver = TrackingSolver(self._model, stages=settings.stages, step_s=settings.step_s, cost=cost)
+        self._solver = TrackingSolver(
+            self._model,
+            stages=settings.stages,
+            step_s=settings.step_s,
+            cost=cost,
+            tolerance=settings.tolerance,
+        )
         self._path: ReferencePath | None = None
         self._reset()
 
@@ -152,9 +158,7 @@ class Mpc:
         x0 = x0.copy()
         x0[_YAW] += 2.0 * math.pi * round((targets[0, _YAW] - x0[_YAW]) / (2.0 * math.pi))
         start = self._shifted(self._guess, act_us) or self._solver.start(targets)
-        solution = self._solver.solve(
-            x0, targets, start, iterations_max=settings.iterations_max, tolerance=settings.tolerance
-        )
+        solution = self._solver.solve(x0, targets, start, iterations_max=settings.iterations_max)
         self._guess = None if solution.plan is None else (solution.plan, act_us)
         if solution.status is SolveStatus.SOLVED:
             self._solved = self._guess

@@ -1,13 +1,12 @@
-"""Real-time iterations of the tracking problem: from a shifted plan to one that solves it.
+"""The tracking problem of a model, solved by multiple shooting from the plan before.
 
-Each iteration predicts the plan's states with their derivatives and returns its best change within the bounds
-of the inputs (`trimtab.host.control.sweeps`). A change that does not lower the cost is halved. Compiled code
-and CasADi's virtual machine give the same bits.
+The problem has one stage more than the horizon: its states, at the horizon's end, carry the terminal weights,
+and its inputs stay at their target. `trimtab.host.shooting` solves it.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated
 
 import numpy as np
@@ -15,43 +14,53 @@ from numpy.typing import NDArray
 
 from trimtab.host.codegen import compile_function
 from trimtab.host.codegen.buffered import Buffered
-from trimtab.host.control.dynamics import STATES, ControlModel
-from trimtab.host.control.feedback import GAINS
+from trimtab.host.control.cost import COST, STAGE_SIZE, stage_parameters
+from trimtab.host.control.dynamics import DISTURBANCE, INPUTS, STATES, ControlModel
 from trimtab.host.control.interface import SolveStatus
-from trimtab.host.control.sweeps import sweeps
+from trimtab.host.control.prediction import advance_function, stage_model
 from trimtab.host.control.targets import target_function
+from trimtab.host.shooting import problem as shooting
+from trimtab.host.shooting.problem import Multipliers, Problem
+from trimtab.host.shooting.solver import Repeated
 
 Array = NDArray[np.float64]
 
-_RATE_MAX = 0.9
-"""Greatest ratio of two changes that counts: smaller changes may be rounding."""
-_HALVINGS = 5
-_LEAST_SHARE = 1e-4
-"""Share of the predicted decrease that a change must bring."""
-_ROUNDING = 1e-10
-"""Relative decrease of the cost below which rounding decides whether a change lowers it."""
+_FIRST_BARRIER = 10.0
+_STATUS = {
+    shooting.SolveStatus.SOLVED: SolveStatus.SOLVED,
+    shooting.SolveStatus.INVALID_NUMBER: SolveStatus.INFEASIBLE,
+}
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HorizonPlan:
-    """States and inputs over the horizon, and the feedback K (52, 4 x 13 by columns) about them."""
+    """States, inputs and multipliers over the horizon and the last stage.
 
-    x: Annotated[np.ndarray, "nodes 13"]
-    u: Annotated[np.ndarray, "stages 4"]
-    K: Annotated[np.ndarray, "stages 52"]
+    The first costate is that of the given state.
+    """
+
+    x: Annotated[np.ndarray, "stages+2 13"]
+    u: Annotated[np.ndarray, "stages+1 4"]
+    multipliers: Multipliers
 
     def shifted(self, stages: int) -> HorizonPlan:
         """Return the plan that starts this many stages later; the last stage repeats."""
         count = len(self.u)
-        keep = np.minimum(np.arange(count) + stages, count - 1)
+        nodes = np.minimum(np.arange(count + 1) + stages, count)
+        intervals = np.minimum(nodes[:-1], count - 1)
+        costates, limits = self.multipliers.costates[:, nodes], np.zeros_like(self.multipliers.limits)
+        limits[:, :-1] = self.multipliers.limits[:, intervals]
+        limits[:STATES, 0] = -costates[:, 0]
         return HorizonPlan(
-            x=self.x[np.minimum(np.arange(count + 1) + stages, count)], u=self.u[keep], K=self.K[keep]
+            x=self.x[nodes],
+            u=self.u[intervals],
+            multipliers=replace(self.multipliers, costates=costates, limits=limits),
         )
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Solution:
-    """Outcome of a solve; the plan is the best one found whatever the status, None if it is not finite."""
+    """Outcome of a solve; the plan is the last one found whatever the status, None if it is not finite."""
 
     plan: HorizonPlan | None
     status: SolveStatus
@@ -59,31 +68,58 @@ class Solution:
 
 
 class TrackingSolver:
-    """The tracking problem of a model over `stages` steps, as fixed memory."""
+    """The tracking problem of a model over `stages` steps, as fixed memory.
 
-    def __init__(self, model: ControlModel, *, stages: int, step_s: float, cost: Array) -> None:
-        functions = sweeps(model, stages)
+    tolerance: distance of an input from the solution, as a share of its range, at which a solve ends.
+    """
+
+    def __init__(
+        self, model: ControlModel, *, stages: int, step_s: float, cost: Array, tolerance: float
+    ) -> None:
         self.stages, self.step_s = stages, step_s
-        self._advance, self._forward, self._backward, self._targets = (
+        self._advance, self._targets = (
             Buffered(compile_function(function, native=True)[0])
-            for function in (
-                functions.advance,
-                functions.forward,
-                functions.backward,
-                target_function(model, stages),
-            )
+            for function in (advance_function(model), target_function(model, stages))
         )
-        for call in (self._advance, self._forward, self._targets):
+        for call in (self._advance, self._targets):
             call.inputs["xi"][0] = model.weights
             call.inputs["p"][0] = model.parameters
             call.inputs["step_s"][:] = step_s
-        for call in (self._forward, self._backward):
-            call.inputs["cost"][0] = cost
+        of_model = len(model.parameters)
+        self._parameters = np.zeros((of_model + STAGE_SIZE + STATES + INPUTS, stages + 1))
+        self._parameters[:of_model] = model.parameters[:, None]
+        self._parameters[of_model : of_model + STAGE_SIZE] = stage_parameters(cost, stages)
+        # The Hessian of the cost in an input is at least its weight, so this slope bounds the distance.
+        range_ = cost[COST.high] - cost[COST.low]
+        self._tolerance = tolerance * float((cost[COST.input] * range_).min())
+        self._solver = Repeated(stage_model(model, step_s), self._problem(cost))
+
+    def _problem(self, cost: Array) -> Problem:
+        """Return the problem for states and targets that are zero."""
+        count = self.stages + 1
+        free = np.full((STATES, count + 1), np.inf)
+        given = np.where(np.arange(count + 1) > 0, free, 0.0)
+        low, high = (np.repeat(cost[at][:, None], count, axis=1) for at in (COST.low, COST.high))
+        return Problem(
+            leg_of=np.zeros(count, dtype=np.int64),
+            h0_s=np.full(count, self.step_s),
+            parameters=self._parameters,
+            x_bounds=(-given, given),
+            u_bounds=(low, high),
+            path_bounds=(np.zeros((0, count)), np.zeros((0, count))),
+            h_bounds=(1.0, 1.0),
+            total_bounds_s=(-np.inf, np.inf),
+            x_start=np.zeros_like(free),
+            u_start=0.5 * (low + high),
+            h_start=np.ones(1),
+            near=True,
+        )
 
     def disturb(self, w_ned: Annotated[np.ndarray, "3"]) -> None:
         """Set the constant disturbance (m/s^2, NED) of the model."""
-        for call in (self._advance, self._forward, self._targets):
-            call.inputs["p"][0, :3] = w_ned
+        self._parameters[DISTURBANCE] = w_ned[:, None]
+        for call in (self._advance, self._targets):
+            call.inputs["p"][0, DISTURBANCE] = w_ned
 
     def advance(
         self, x: Annotated[np.ndarray, "13"], u: Annotated[np.ndarray, "4"], dt_s: float
@@ -105,8 +141,14 @@ class TrackingSolver:
         return self._targets.outputs["targets"].copy()
 
     def start(self, targets: Annotated[np.ndarray, "nodes 17"]) -> HorizonPlan:
-        """Return the plan that the first solve starts from: the targets, without feedback."""
-        return HorizonPlan(x=targets[:, :STATES], u=targets[:-1, STATES:], K=np.zeros((self.stages, GAINS)))
+        """Return the plan that the first solve starts from: the targets."""
+        nodes = np.append(np.arange(self.stages + 1), self.stages)
+        unknown = Multipliers(
+            costates=np.zeros((STATES, len(nodes))),
+            limits=np.zeros((STATES + INPUTS, len(nodes))),
+            barrier=_FIRST_BARRIER,
+        )
+        return HorizonPlan(x=targets[nodes, :STATES], u=targets[:, STATES:], multipliers=unknown)
 
     def solve(
         self,
@@ -115,66 +157,23 @@ class TrackingSolver:
         start: HorizonPlan,
         *,
         iterations_max: int,
-        tolerance: float,
     ) -> Solution:
-        """Return the plan from `x0` that follows the targets best.
-
-        It is solved where no input is further than `tolerance` of its range from the solution, by the last
-        change and its rate of decrease: the method converges linearly.
-        """
-        forward, backward = self._forward, self._backward
-        forward.inputs["x0"][0] = x0
-        forward.inputs["reference"][:] = targets
-        backward.inputs["reference"][:] = targets
-        forward.inputs["k"][:] = 0.0
-        self._predict(start.x[:-1], start.u, start.K, 0.0)
-        if not self._finite():
-            return Solution(plan=None, status=SolveStatus.INFEASIBLE, iterations=0)
-        before = np.inf
-        for iteration in range(1, iterations_max + 1):
-            for name in ("x", "u", "A", "B"):
-                backward.inputs[name][:] = forward.outputs[name]
-            backward()
-            change = float(backward.outputs["change"][0, 0])
-            if not np.isfinite(change):
-                return Solution(plan=None, status=SolveStatus.INFEASIBLE, iterations=iteration)
-            plan = HorizonPlan(
-                x=backward.inputs["x"].copy(),
-                u=backward.inputs["u"].copy(),
-                K=backward.outputs["K"].copy(),
-            )
-            if change <= tolerance * (1.0 - min(change / before, _RATE_MAX)):
-                return Solution(plan=plan, status=SolveStatus.SOLVED, iterations=iteration)
-            before = change
-            if not self._improve(plan):
-                return Solution(plan=plan, status=SolveStatus.BUDGET_SPENT, iterations=iteration)
-        return Solution(plan=self._present(), status=SolveStatus.BUDGET_SPENT, iterations=iterations_max)
-
-    def _improve(self, plan: HorizonPlan) -> bool:
-        """Predict the changed plan with the greatest share of the change that lowers the cost enough."""
-        before = float(self._forward.outputs["total"][0, 0])
-        decrease = float(self._backward.outputs["decrease"][0, 0])
-        self._forward.inputs["k"][:] = self._backward.outputs["k"]
-        share = 1.0
-        for _ in range(_HALVINGS + 1):
-            self._predict(plan.x[:-1], plan.u, plan.K, share)
-            total = float(self._forward.outputs["total"][0, 0])
-            enough = before - _LEAST_SHARE * share * decrease + _ROUNDING * before
-            if self._finite() and total <= enough:
-                return True
-            share *= 0.5
-        return False
-
-    def _predict(self, x: Array, u: Array, K: Array, share: float) -> None:
-        forward = self._forward
-        forward.inputs["x_plan"][:], forward.inputs["u_plan"][:], forward.inputs["K"][:] = x, u, K
-        forward.inputs["alpha"][:] = share
-        forward()
-
-    def _finite(self) -> bool:
-        outputs = self._forward.outputs
-        return bool(np.isfinite(outputs["total"][0, 0]) and np.isfinite(outputs["x"]).all())
-
-    def _present(self) -> HorizonPlan:
-        outputs = self._forward.outputs
-        return HorizonPlan(x=outputs["x"].copy(), u=outputs["u"].copy(), K=self._backward.outputs["K"].copy())
+        """Return the plan from `x0` that follows the targets best."""
+        self._parameters[-STATES - INPUTS :] = targets.T
+        found = self._solver.solve(
+            x0,
+            self._parameters,
+            start.x.T,
+            start.u.T,
+            start.multipliers,
+            tolerance=self._tolerance,
+            max_iterations=iterations_max,
+        )
+        status = _STATUS.get(found.status, SolveStatus.BUDGET_SPENT)
+        if status is SolveStatus.INFEASIBLE:
+            return Solution(plan=None, status=status, iterations=found.iterations)
+        known = found.multipliers or start.multipliers  # Ipopt has none
+        costates = known.costates.copy()
+        costates[:, 0] = -known.limits[:STATES, 0]
+        plan = HorizonPlan(x=found.x.T, u=found.u.T, multipliers=replace(known, costates=costates))
+        return Solution(plan=plan, status=status, iterations=found.iterations)

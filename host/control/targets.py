@@ -12,8 +12,7 @@ import casadi as ca
 from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.rotations import matrix_to_euler
 from trimtab.host.codegen import CASADI, held_interrupts
-from trimtab.host.control.dynamics import INPUTS, NETWORK_STATE, STATES, ControlModel
-from trimtab.host.control.residual_network import network_functions
+from trimtab.host.control.dynamics import INPUTS, STATES, ControlModel, network_acceleration
 from trimtab.host.models.reference import FLAT_ROWS
 
 _ROUNDS = 2
@@ -30,16 +29,12 @@ def target_function(model: ControlModel, stages: int) -> ca.Function:
     step_s, p = ca.MX.sym("step_s"), ca.MX.sym("p", len(model.parameters))
     xi = ca.MX.sym("xi", len(model.weights))
     state, residual, inputs = _state(model), _residual(model), _inputs(model)
-    network = network_functions(model.network)
-    matrices = network.matrices.call([xi])
     nodes = ca.horzsplit(flat)
-    disturbances = []
-    for node in nodes:
-        d = ca.MX(ca.DM.zeros(3))
-        for _ in range(_ROUNDS):
-            x = state(node, d, ca.DM.zeros(3))
-            d = residual(x, p) + network.value(*matrices, x[NETWORK_STATE])
-        disturbances.append(d)
+    disturbances = [ca.MX(ca.DM.zeros(3))] * len(nodes)
+    for _ in range(_ROUNDS):
+        x = [state(node, d, ca.DM.zeros(3)) for node, d in zip(nodes, disturbances, strict=True)]
+        learned = ca.horzsplit(network_acceleration(model, xi, ca.horzcat(*x)))
+        disturbances = [residual(at, p) + d for at, d in zip(x, learned, strict=True)]
     states = []
     for i, node in enumerate(nodes):
         first, last = max(i - 1, 0), min(i + 1, stages)

@@ -122,13 +122,13 @@ def on_grid(
 
 
 def multipliers_on_grid(multipliers: Multipliers, old: Grid, new: Grid) -> Multipliers:
-    """Return a solution's multipliers at another grid's nodes: those of equations where a node is shared."""
+    """Return a solution's multipliers at another grid's nodes: those of limits where a node is shared."""
     at_old, at_new = (np.append(grid.leg_of + _share(grid), len(grid.counts)) for grid in (old, new))
     costates = np.array([np.interp(at_new, at_old, row) for row in multipliers.costates])
     nearest = np.minimum(np.searchsorted(at_old, at_new - 1e-9), len(at_old) - 1)
     shared = np.abs(at_old[nearest] - at_new) < 1e-9
-    equations = np.where(shared, multipliers.equations[:, nearest], 0.0)
-    return replace(multipliers, costates=costates, equations=equations)
+    limits = np.where(shared, multipliers.limits[:, nearest], 0.0)
+    return replace(multipliers, costates=costates, limits=limits)
 
 
 def _share(grid: Grid) -> Array:

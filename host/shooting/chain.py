@@ -59,7 +59,8 @@ class Memory(ctypes.Structure):
 class Chain:
     """Memory of a problem, and the compiled method for its sizes. Nothing is allocated after the set-up.
 
-    `memory` is what the C functions take. Raises CodegenError where the compiler fails.
+    `memory` is what the C functions take. `set_parameters`, `set_first` and `start` change the problem in
+    place. Raises CodegenError where the compiler fails.
     """
 
     def __init__(
@@ -83,7 +84,7 @@ class Chain:
             self._places = Places(problem.gates, keep_out, self.count)
         self._arrays = self._lanes(model, kernel) | self._of_places()
         self._limits()
-        self._unknowns()
+        self._room()
         self._call = _PLACES(self._evaluate_places)
         self.memory = Memory(
             count=self.count,
@@ -96,6 +97,40 @@ class Chain:
             places_of=self._call,
             **{name: self._arrays[name].ctypes.data for name in _ARRAYS},
         )
+        self.start(problem.x_start, problem.u_start, problem.h_start, problem.multipliers)
+
+    def set_parameters(self, parameters: Annotated[np.ndarray, "parameters intervals"]) -> None:
+        """Set the parameters of all intervals."""
+        self._given[: self.count] = parameters.T
+        self._given[self.count :] = parameters[:, 0]
+        self._parameters[:] = self._given.reshape(self._parameters.shape)
+
+    def set_first(self, x: Annotated[np.ndarray, "states"]) -> None:
+        """Set the states at the first node, which the problem fixes. `start` has to follow."""
+        self._arrays["equal_to"][: self.nx] = x
+
+    def start(
+        self,
+        x: Annotated[np.ndarray, "states nodes"],
+        u: Annotated[np.ndarray, "inputs intervals"],
+        h: Annotated[np.ndarray, "legs"],
+        multipliers: Multipliers | None,
+    ) -> None:
+        """Set the unknowns and multipliers from which the method begins; unknown multipliers are zero."""
+        p, arrays = self.problem, self._arrays
+        w = self._present()
+        w[:, : self.nx] = x.T
+        w[:-1, self._states : self._states + self.nu] = u.T
+        if self._free:
+            steps = h[np.append(p.leg_of, p.leg_of[-1])]
+            w[:, self.nx] = steps
+            w[:-1, -1] = np.where(self._new_leg, steps[1:], 0.0)
+            if self._timed:
+                w[1:, self.nx + 1] = np.cumsum(p.h0_s * steps[:-1])
+        w[self._fixed_unknowns] = arrays["equal_to"][self._is_unknown]
+        arrays["costate"][:] = 0.0 if multipliers is None else multipliers.costates.T
+        for name, at in (("equal_y", self._fixed), ("y", self._bounded)):
+            arrays[name][:] = 0.0 if multipliers is None else multipliers.limits.T[at]
 
     def _lanes(self, model: StageModel, kernel: Kernel) -> dict[str, NDArray[Any]]:
         """Return the arrays over lanes; lanes beyond the last interval repeat the first."""
@@ -105,7 +140,7 @@ class Chain:
         sizes = {
             "x_next": model.nx,
             "cost": 1,
-            "path": kernel.rows,
+            "path": max(1, kernel.rows),
             "x_slope": model.nx * nz,
             "cost_slope": nz,
             "path_slope": max(1, len(kernel.path_slope[0])),
@@ -115,6 +150,8 @@ class Chain:
         }
         xi = np.zeros(1) if model.network is None else np.ascontiguousarray(model.network.xi)
         arrays = {name: aligned((groups, size, lanes)) for name, size in sizes.items()}
+        self._parameters = z[:, nz + 1 :].swapaxes(1, 2)
+        self._given = np.zeros((groups * lanes, model.np))
         return arrays | {"xi": xi, "z": z, "sigma": aligned((1, lanes))}
 
     def _of_places(self) -> dict[str, NDArray[Any]]:
@@ -150,7 +187,7 @@ class Chain:
             counts = np.bincount(stage, minlength=self.count + 1)
             arrays[f"{name}_begin"] = np.concatenate([[0], np.cumsum(counts)]).astype(np.int32)
             arrays[f"{name}_at"] = at.astype(np.int32)
-        self._fixed = np.nonzero(fixed)
+        self._fixed, self._bounded = np.nonzero(fixed), np.nonzero(bounded)
         self._is_unknown = self._fixed[1] < self.width
         self._fixed_unknowns = tuple(index[self._is_unknown] for index in self._fixed)
         arrays |= {"equal_to": low[fixed], "low": low[bounded], "high": high[bounded]}
@@ -159,28 +196,19 @@ class Chain:
         arrays |= {name: np.zeros(int(bounded.sum())) for name in of_bounds}
         self._arrays = arrays
 
-    def _unknowns(self) -> None:
-        """Set the unknowns and multipliers to the problem's start."""
-        p, nodes = self.problem, self.count + 1
-        arrays = self._arrays
+    def _room(self) -> None:
+        """Allocate the unknowns, the multipliers and what an iteration needs."""
+        nodes, arrays = self.count + 1, self._arrays
         arrays |= {name: aligned((nodes, self.width)) for name in ("w", "w_new", "dw")}
         arrays |= {name: np.zeros((nodes, self._states)) for name in ("costate", "costate_new")}
         arrays["stages"] = aligned((self.count * int(self.method.stage_bytes()) // 8,))
         arrays["ahead"] = aligned((nodes * int(self.method.ahead_bytes()) // 8,))
         arrays["filter"] = np.zeros((_FILTER_SIZE, 2))
-        w = arrays["w"]
-        w[:, : self.nx] = p.x_start.T
-        w[:-1, self._states : self._states + self.nu] = p.u_start.T
-        if self._free:
-            h = p.h_start[np.append(p.leg_of, p.leg_of[-1])]
-            w[:, self.nx] = h
-            w[:-1, -1] = np.where(self._new_leg, h[1:], 0.0)
-            if self._timed:
-                w[1:, self.nx + 1] = np.cumsum(p.h0_s * h[:-1])
-        w[self._fixed_unknowns] = arrays["equal_to"][self._is_unknown]
-        if p.multipliers is not None:
-            arrays["costate"][:] = p.multipliers.costates.T
-            arrays["equal_y"][:] = p.multipliers.equations.T[self._fixed]
+
+    def _present(self) -> Annotated[np.ndarray, "nodes unknowns"]:
+        """Return the present point's array: the method swaps it with the next point's."""
+        arrays = self._arrays
+        return arrays["w"] if arrays["w"].ctypes.data == self.memory.w else arrays["w_new"]
 
     def _evaluate_places(self, second: int) -> None:
         arrays, places = self._arrays, self._places
@@ -200,19 +228,19 @@ class Chain:
     ]:
         """Return the states x, inputs u and step sizes h of the present point, with fixed values exact."""
         arrays = self._arrays
-        # The method swaps the present point with the next one.
-        w = next(arrays[name] for name in ("w", "w_new") if arrays[name].ctypes.data == self.memory.w).copy()
+        w = self._present().copy()
         w[self._fixed_unknowns] = arrays["equal_to"][self._is_unknown]
         h = w[np.append(True, self._new_leg), self.nx] if self._free else np.ones(self.problem.legs)
         return w[:, : self.nx].T.copy(), w[:-1, self._states : self._states + self.nu].T.copy(), h.copy()
 
     def multipliers(self) -> Multipliers:
         """Return those at the present point."""
-        equations = np.zeros((self.count + 1, self.width + self.problem.path_bounds[0].shape[0]))
-        equations[self._fixed] = self._arrays["equal_y"]
+        limits = np.zeros((self.count + 1, self.width + self.problem.path_bounds[0].shape[0]))
+        limits[self._fixed] = self._arrays["equal_y"]
+        limits[self._bounded] = self._arrays["y"]
         return Multipliers(
             costates=self._arrays["costate"].T.copy(),
-            equations=equations.T,
+            limits=limits.T,
             barrier=self.memory.mu,
         )
 

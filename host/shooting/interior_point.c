@@ -545,7 +545,7 @@ static void set_barrier(Problem *p, double mu) {
     p->filtered = 0;
 }
 
-/* Slacks near the rows but inside their bounds, and the multipliers of a point on the central path. */
+/* Slacks near the rows but inside their bounds; multipliers as given, or of a point on the central path. */
 static void place_slacks(Problem *p) {
     load(p, p->w);
     p->values(p->xi, p->groups, p->z, p->x_next, p->cost, p->path);
@@ -555,13 +555,13 @@ static void place_slacks(Problem *p) {
         if (low > -INFINITY) s = fmax(s, low + PUSH * fmin(fmax(1.0, fabs(low)), width));
         if (high < INFINITY) s = fmin(s, high - PUSH * fmin(fmax(1.0, fabs(high)), width));
         p->s[b] = s;
-        p->z_low[b] = low > -INFINITY ? p->mu / (s - low) : 0.0;
-        p->z_high[b] = high < INFINITY ? p->mu / (high - s) : 0.0;
+        p->z_low[b] = low > -INFINITY ? fmax(p->mu / (s - low), -p->y[b]) : 0.0;
+        p->z_high[b] = high < INFINITY ? fmax(p->mu / (high - s), p->y[b]) : 0.0;
         p->y[b] = p->z_high[b] - p->z_low[b];
     }
 }
 
-/* Evaluates the start, where w, the costates and the multipliers of the equations are set. */
+/* Evaluates the start, where w, the costates and the multipliers of equations and bounds are set. */
 int begin(Problem *p) {
     p->filtered = 0;
     p->damping = 0.0;

@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import ctypes
+from contextlib import nullcontext
 from typing import Final
 
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.shooting.chain import Chain
-from trimtab.host.shooting.problem import Solution, SolveStatus
+from trimtab.host.shooting.problem import Multipliers, Solution, SolveStatus
 
 _FIRST_BARRIER = 0.1
 """Barrier parameter of a start without multipliers."""
@@ -20,21 +21,24 @@ _STATUS: Final = {
 }
 
 
-def solve_chain(chain: Chain, *, tolerance: float, max_iterations: int) -> Solution:
+def solve_chain(
+    chain: Chain, known: Multipliers | None, *, tolerance: float, max_iterations: int
+) -> Solution:
     """Return the local optimum from the chain's start, without its time.
 
-    tolerance: of gaps, slopes of the Lagrangian and complementarity; below 1e-6 rounding decides.
+    known: the multipliers of that start. tolerance: of gaps, slopes of the Lagrangian and complementarity;
+    below 1e-6 rounding decides.
     """
     problem, memory, method = chain.problem, chain.memory, chain.method
-    known = problem.multipliers
     memory.tolerance = tolerance
     memory.mu = _FIRST_BARRIER if known is None else known.barrier
     here = ctypes.byref(memory)
-    with held_interrupts():  # C cannot pass on what its callback raises
+    guard = held_interrupts if memory.places else nullcontext  # C cannot pass on what its callback raises
+    with guard():
         code = int(method.begin(here))
     iterations = 0
     while code == _RUNNING and iterations < max_iterations:
-        with held_interrupts():
+        with guard():
             code = int(method.iterate(here))
         iterations += code == _RUNNING
     x, u, h = chain.point()

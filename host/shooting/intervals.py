@@ -140,7 +140,8 @@ class _Lanes:
         pattern = made.pattern
         self.x_next = self._output(count, np.ones((nx, 1), dtype=bool))
         self.cost = self._output(count, np.ones((1, 1), dtype=bool))
-        self.path = self._output(count, np.ones((made.rows, 1), dtype=bool))
+        rows = np.arange(made.rows)
+        self.path = self._placed(count, max(1, made.rows), rows, rows, np.zeros_like(rows))
         self.x_slope = self._output(count, pattern.x_slope)
         self.cost_slope = self._output(count, np.ones((nz, 1), dtype=bool))
         rows, columns = made.path_slope

@@ -17,12 +17,12 @@ NODES_MAX = 1600
 class Multipliers:
     """Lagrange multipliers at a solution of a chain (`trimtab.host.shooting.chain`), for another one like it.
 
-    costates: of the gaps before the nodes. equations: of the fixed quantities, zero where none is fixed; the
-    unknowns of a stage, then its path rows. barrier: the barrier parameter.
+    costates: of the gaps before the nodes. limits: of the fixed and the bounded quantities, positive at an
+    upper bound, zero elsewhere; the unknowns of a stage, then its path rows. barrier: the barrier parameter.
     """
 
     costates: Annotated[np.ndarray, "states nodes"]
-    equations: Annotated[np.ndarray, "quantities nodes"]
+    limits: Annotated[np.ndarray, "quantities nodes"]
     barrier: float
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from typing import Any, Literal
+from typing import Annotated, Any, Literal
 
 import casadi as ca
 import numpy as np
@@ -16,7 +16,8 @@ from trimtab.host.route.shapes import Shape
 from trimtab.host.shooting.chain import Chain
 from trimtab.host.shooting.interior_point import solve_chain
 from trimtab.host.shooting.intervals import Engine
-from trimtab.host.shooting.problem import Problem, Solution, SolveStatus
+from trimtab.host.shooting.problem import Multipliers, Problem, Solution, SolveStatus
+from trimtab.host.shooting.stage import StageModel
 from trimtab.host.shooting.transcription import Assembly
 
 Array = NDArray[np.float64]
@@ -132,10 +133,50 @@ def solve(
     if solver != "ipopt" and kernel is not None:
         chain = compiled(lambda compiler: Chain(engine.model, kernel, compiler, problem, keep_out))
         if chain is not None:
-            solution = solve_chain(chain, tolerance=tolerance, max_iterations=max_iterations)
+            solution = solve_chain(
+                chain, problem.multipliers, tolerance=tolerance, max_iterations=max_iterations
+            )
     if solution is None or (solver is None and not solution.status.usable):
         solution = _ipopt(Assembly(engine, problem, keep_out), tolerance, max_iterations)
     return replace(solution, solve_s=time.process_time() - started)
+
+
+class Repeated:
+    """A problem that is solved again and again, with other parameters, another first state and start.
+
+    Our method solves it where there is a compiler, in memory that is allocated once; else Ipopt does. The
+    steps and the first node's states are fixed.
+    """
+
+    def __init__(self, model: StageModel, problem: Problem) -> None:
+        self._problem, self._engine = problem, Engine(model)
+        kernel = self._engine.kernel
+        self._chain: Chain | None = None
+        if kernel is not None:
+            self._chain = compiled(lambda compiler: Chain(model, kernel, compiler, problem))
+
+    def solve(
+        self,
+        first: Annotated[np.ndarray, "states"],
+        parameters: Annotated[np.ndarray, "parameters intervals"],
+        x: Annotated[np.ndarray, "states nodes"],
+        u: Annotated[np.ndarray, "inputs intervals"],
+        multipliers: Multipliers | None,
+        *,
+        tolerance: float,
+        max_iterations: int,
+    ) -> Solution:
+        """Return the local optimum from a start x, u, without its time; `multipliers` are those there."""
+        problem, chain = self._problem, self._chain
+        if chain is not None:
+            chain.set_parameters(parameters)
+            chain.set_first(first)
+            chain.start(x, u, problem.h_start, multipliers)
+            return solve_chain(chain, multipliers, tolerance=tolerance, max_iterations=max_iterations)
+        low, high = (bounds.copy() for bounds in problem.x_bounds)
+        low[:, 0] = high[:, 0] = first
+        now = replace(problem, parameters=parameters, x_bounds=(low, high), x_start=x, u_start=u)
+        return _ipopt(Assembly(self._engine, now, ()), tolerance, max_iterations)
 
 
 def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solution:

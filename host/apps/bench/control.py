@@ -105,7 +105,7 @@ def _beside(model: ControlModel, settings: MpcSettings, reference: Reference, co
     """Return the times of both solvers on consecutive problems of one flight, and their difference."""
     cost = cost_parameters(settings, model)
     stages, step_s = settings.stages, settings.step_s
-    ours = TrackingSolver(model, stages=stages, step_s=step_s, cost=cost)
+    ours = TrackingSolver(model, stages=stages, step_s=step_s, cost=cost, tolerance=settings.tolerance)
     naive = NaiveMpc(model, stages=stages, step_s=step_s, cost=cost)
     nominal = settings.model_copy(update={"residual": "none"})
     flight = fly(Mpc(nominal, model.vehicle), Plant(model), reference)
@@ -117,9 +117,7 @@ def _beside(model: ControlModel, settings: MpcSettings, reference: Reference, co
         targets = ours.targets(flat_outputs(reference, t_s + horizon_s))
         start = ours.start(targets) if start is None else start.shifted(1)
         began = process_time()
-        solution = ours.solve(
-            x0, targets, start, iterations_max=settings.iterations_max, tolerance=settings.tolerance
-        )
+        solution = ours.solve(x0, targets, start, iterations_max=settings.iterations_max)
         between = process_time()
         expected = naive.solve(x0, targets)
         times.append((between - began, process_time() - between))

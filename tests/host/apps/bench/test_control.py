@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-import pytest
-
 from trimtab.host.apps.bench import control
 from trimtab.host.vehicle import load_vehicle
 
 
-@pytest.mark.usefixtures("virtual_machine")
 def test_figures_are_of_noisy_flights_and_the_peer_finds_the_same_commands() -> None:
     began: list[str] = []
     size = control.Size(steps=400, courses=1, peer_problems=5)
