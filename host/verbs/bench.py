@@ -14,6 +14,7 @@ def command(
     seed: int = 1,
     quick: bool = False,
     courses: int | None = None,
+    peers: bool = False,
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
@@ -31,8 +32,10 @@ def command(
         minutes in total.
     courses
         Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
+    peers
+        Measure only what other tools are compared with, and print the table of the comparisons.
     """
-    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session
+    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session, table
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
@@ -47,8 +50,13 @@ def command(
         if courses < 1:
             raise UsageError(f"--courses {courses}: give 1 or more")
         size = replace(size, success=courses)
+    if peers:
+        if courses is not None:
+            raise UsageError("--courses: --peers plans no random courses; leave one of them out")
+        size, controlled = size.peers_alone(), controlled.peers_alone()
     craft = open_workspace(workspace).vehicle(vehicle)
-    steps = len(learning.STEPS) + size.steps + flights.steps + len(control.STEPS)
+    steps = len(learning.GRADIENT_STEPS if peers else learning.STEPS) + size.steps + len(control.STEPS)
+    steps += 0 if peers else flights.steps
     found = machine.measure()
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
@@ -56,23 +64,26 @@ def command(
         def on_progress(step: str) -> None:
             progress.update(next(done), detail=step)
 
-        learned = learning.measure(craft, seed, on_progress)
+        learned = learning.measure(craft, seed, on_progress, training=not peers)
         planned = planning.measure(craft, seed, on_progress, size=size)
-        compared = flown.measure(craft, seed, on_progress, size=flights)
         mpc = control.measure(craft, seed, on_progress, size=controlled)
-        progress.update(steps, detail="session")
-        factor = session.realtime_factor(craft)
-    say(
-        _machine_line(found),
-        *_learning_lines(learned, found["peak_gflops"]),
-        *_planning_lines(planned, found["peak_gflops"]),
-        *_flown_lines(compared),
-        *_control_lines(mpc),
-        f"simulated sessions run {factor:.1f} times as fast as real time",
-    )
-    session_result = {"realtime_factor": factor}
-    result = {"machine": found, "learning": learned, "planning": planned, "flown": compared, "control": mpc}
-    emit({**result, "session": session_result}, json)
+        others: dict[str, dict[str, Any]] = {}
+        if not peers:
+            others["flown"] = flown.measure(craft, seed, on_progress, size=flights)
+            progress.update(steps, detail="session")
+            others["session"] = {"realtime_factor": session.realtime_factor(craft)}
+    result = table.answer(machine=found, learning=learned, planning=planned, control=mpc, **others)
+    say(_machine_line(found))
+    if not peers:
+        say(
+            *_learning_lines(learned, found["peak_gflops"]),
+            *_planning_lines(result["planning"], found["peak_gflops"]),
+            *_flown_lines(result["flown"]),
+            *_control_lines(result["control"]),
+            f"simulated sessions run {result['session']['realtime_factor']:.1f} times as fast as real time",
+        )
+    say(*table.peer_lines(result["peers"]))
+    emit(result, json)
 
 
 def _machine_line(result: dict[str, Any]) -> str:
@@ -144,6 +155,7 @@ def _planning_lines(result: dict[str, Any], peak_gflops: float | None) -> list[s
             f"  CasADi's map and Ipopt   {_seconds(naive['seconds'])} for one course at {naive['nodes']} "
             f"intervals, built in {naive['build_s']:.1f} s: {bound}{ratio:.0f} times ours"
         )
+    lines.append(f"  solver of the MPC, 99th  {result['mpc_solve_ms_p99']:8.2f} ms")
     lines += [_rockit_line(result["rockit"]), _snap_line(result["minsnap_trajectories"])]
     if result["success_rate"] is not None:
         lines.append(f"  planned: {result['success_rate']:.1%} of {result['success_courses']} random courses")

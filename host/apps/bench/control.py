@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import cycle
 from time import process_time
 from typing import Any
@@ -47,6 +47,10 @@ class Size:
     courses: int = 10
     peer_problems: int = 100
 
+    def peers_alone(self) -> Size:
+        """Return the same problems for the peer, after a single flight."""
+        return replace(self, steps=1, courses=1)
+
 
 QUICK = Size(steps=10_000, courses=4, peer_problems=30)
 STEPS = ("MPC, steps", "MPC, CasADi and Ipopt")
@@ -61,8 +65,9 @@ def measure(
 ) -> dict[str, Any]:
     """Return processor times of the steps of CONTROLLER, the outcome of its solves, and the peer's times.
 
-    The vehicle has the drag that the network is fitted to, and every estimate has noise. `on_progress` is
-    called with each of STEPS as it begins.
+    mpc_solve_ms_p99: of the solver alone, from the plan before, over all states of a flight with noise. The
+    vehicle has the drag that the network is fitted to, and every estimate has noise. `on_progress` is called
+    with each of STEPS as it begins.
     """
     size = size or Size()
     settings = load_controller(CONTROLLER)
@@ -82,6 +87,9 @@ def measure(
         if len(timed.times_s) >= size.steps:
             break
     assert flight is not None
+    solver = _solver(of_plant, settings)
+    problems = _problems(solver, of_plant, settings, references[0], np.random.default_rng([seed, 2]))
+    solves = _solve(solver, settings, problems)
     on_progress(STEPS[1])
     statuses = [step.status for step in timed.steps]
     spent = statuses.count(SolveStatus.BUDGET_SPENT)
@@ -92,43 +100,81 @@ def measure(
         "steps": len(statuses),
         "mpc_step_ms_p50": p50,
         "mpc_step_ms_p99": p99,
+        "mpc_solve_ms_p99": 1e3 * float(np.percentile([seconds for seconds, _ in solves], 99)),
         "iterations_mean": float(np.mean([step.iterations for step in timed.steps])),
         "budget_spent": spent,
         "budget_spent_share": spent / len(statuses),
         "infeasible": statuses.count(SolveStatus.INFEASIBLE),
         "error_mean_m": float(np.mean(errors)),
-        "naive": _beside(of_plant, settings, references[0], size.peer_problems),
+        "naive": _beside(of_plant, settings, problems[: size.peer_problems], solves),
     }
 
 
-def _beside(model: ControlModel, settings: MpcSettings, reference: Reference, count: int) -> dict[str, Any]:
-    """Return the times of both solvers on consecutive problems of one flight, and their difference."""
+def _solver(model: ControlModel, settings: MpcSettings) -> TrackingSolver:
     cost = cost_parameters(settings, model)
-    stages, step_s = settings.stages, settings.step_s
-    ours = TrackingSolver(model, stages=stages, step_s=step_s, cost=cost, tolerance=settings.tolerance)
-    naive = NaiveMpc(model, stages=stages, step_s=step_s, cost=cost)
+    return TrackingSolver(
+        model, stages=settings.stages, step_s=settings.step_s, cost=cost, tolerance=settings.tolerance
+    )
+
+
+def _problems(
+    solver: TrackingSolver,
+    model: ControlModel,
+    settings: MpcSettings,
+    reference: Reference,
+    rng: np.random.Generator,
+) -> list[tuple[Array, Array]]:
+    """Return state, with noise, and targets of consecutive steps: a flight of the nominal controller."""
     nominal = settings.model_copy(update={"residual": "none"})
     flight = fly(Mpc(nominal, model.vehicle), Plant(model), reference)
-    low, high = model.input_bounds()
-    horizon_s = step_s * np.arange(stages + 1)
-    times: list[tuple[float, float]] = []
-    differs, failed, start = 0.0, 0, None
-    for x0, t_s in zip(flight.x[:count], flight.t_s[:count], strict=True):
-        targets = ours.targets(flat_outputs(reference, t_s + horizon_s))
-        start = ours.start(targets) if start is None else start.shifted(1)
+    horizon_s = settings.step_s * np.arange(settings.stages + 1)
+    sigma = np.repeat(
+        [*(_SIGMA[name] for name in ("p_ned", "v_ned")), _TURN_SIGMA, _SIGMA["rate_frd"], 0.0],
+        [3, 3, 3, 3, 1],
+    )
+    return [
+        (x + sigma * rng.standard_normal(len(x)), solver.targets(flat_outputs(reference, t_s + horizon_s)))
+        for x, t_s in zip(flight.x, flight.t_s, strict=True)
+    ]
+
+
+def _solve(
+    solver: TrackingSolver, settings: MpcSettings, problems: Sequence[tuple[Array, Array]]
+) -> list[tuple[float, Array | None]]:
+    """Return the processor time of each problem, from the plan of the one before, and its first input."""
+    solved, start = [], solver.start(problems[0][1])
+    for x0, targets in problems:
         began = process_time()
-        solution = ours.solve(x0, targets, start, iterations_max=settings.iterations_max)
-        between = process_time()
+        plan = solver.solve(x0, targets, start, iterations_max=settings.iterations_max).plan
+        solved.append((process_time() - began, None if plan is None else plan.u[0]))
+        start = solver.start(targets) if plan is None else plan.shifted(1)
+    return solved
+
+
+def _beside(
+    model: ControlModel,
+    settings: MpcSettings,
+    problems: Sequence[tuple[Array, Array]],
+    solves: Sequence[tuple[float, Array | None]],
+) -> dict[str, Any]:
+    """Return the times of both solvers on the same problems, and their difference."""
+    cost = cost_parameters(settings, model)
+    naive = NaiveMpc(model, stages=settings.stages, step_s=settings.step_s, cost=cost)
+    low, high = model.input_bounds()
+    times_s: list[float] = []
+    differs, failed = 0.0, 0
+    for (x0, targets), (_, ours) in zip(problems, solves, strict=False):
+        began = process_time()
         expected = naive.solve(x0, targets)
-        times.append((between - began, process_time() - between))
-        start = solution.plan
-        if expected is None or solution.plan is None:
+        times_s.append(process_time() - began)
+        if expected is None or ours is None:
             failed += 1
             continue
-        differs = max(differs, float((np.abs(solution.plan.u[0] - expected) / (high - low)).max()))
-    ours_ms, naive_ms = (1e3 * float(np.median(column)) for column in zip(*times, strict=True))
+        differs = max(differs, float((np.abs(ours - expected) / (high - low)).max()))
+    ours_ms = 1e3 * float(np.median([seconds for seconds, _ in solves[: len(problems)]]))
+    naive_ms = 1e3 * float(np.median(times_s))
     return {
-        "problems": len(times),
+        "problems": len(times_s),
         "ms": naive_ms,
         "ours_ms": ours_ms,
         "over_ours": naive_ms / ours_ms,

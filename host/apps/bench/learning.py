@@ -29,7 +29,8 @@ from trimtab.host.learn.adjoint import Rollouts
 from trimtab.host.learn.lanes import LaneRollouts
 from trimtab.host.vehicle import Vehicle
 
-STEPS = ("flights", "gradient", "gradient, virtual machine", "peers", "Adam", "condensed")
+GRADIENT_STEPS = ("flights", "gradient", "gradient, virtual machine", "peers")
+STEPS = (*GRADIENT_STEPS, "Adam", "condensed")
 _REPEATS = 100
 
 
@@ -42,13 +43,14 @@ def measure(
     iterations: int = SHORT,
     repeats: int = _REPEATS,
     counts: dict[str, int] | None = None,
+    training: bool = True,
 ) -> dict[str, Any]:
-    """Return times on one core, and the final errors of the condensed loss.
+    """Return times on one core, and with `training` the final errors of the condensed loss.
 
     `gradient_ms` is for 10 segments of 49 steps and a network of 2 x 32, in C; None without a compiler.
     `gradient_vm_ms` is the same in CasADi's virtual machine. `peers` are the same by JAX and diffrax, with
     `over_ours` the ratio to our best; None if they are not installed. `on_progress` is called with each of
-    STEPS as it begins. `counts` are flights by set.
+    STEPS as it begins, or of GRADIENT_STEPS without training. `counts` are flights by set.
     """
     on_progress(STEPS[0])
     sets = make_flights(vehicle, seed, counts=counts)
@@ -71,17 +73,22 @@ def measure(
     beside = peers.measure(phi, PAPER_MLP, batch, xi, WEIGHT, ours, repeats=repeats)
     if beside is not None:
         beside = [{**row, "over_ours": row["gradient_ms"] / best_of_ours_ms} for row in beside]
+    gradient = {
+        "gradient_ms": lanes_ms,
+        "gradient_vm_ms": machine_ms,
+        "gradient_weights": PAPER_MLP.size,
+        "gradient_points": 4 * batch.count * batch.steps,
+        "peers": beside,
+    }
+    if not training:
+        return gradient
     on_progress(STEPS[4])
     adam = paper(phi, train, validation, seed, layout=PAPER_MLP, weight=WEIGHT, epochs=epochs)
     on_progress(STEPS[5])
     settings = condensed_settings(PAPER_MLP, iterations, passes=1)
     quick = condensed(phi, train, validation, seed, settings, weight=WEIGHT)
     return {
-        "gradient_ms": lanes_ms,
-        "gradient_vm_ms": machine_ms,
-        "gradient_weights": PAPER_MLP.size,
-        "gradient_points": 4 * batch.count * batch.steps,
-        "peers": beside,
+        **gradient,
         "adam_100_s": adam.seconds,
         "adam_test_rmse": acceleration_error(adam.candidate, sets["test"]).pointwise,
         "condensed_s": quick.seconds,

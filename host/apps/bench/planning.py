@@ -7,7 +7,7 @@ course is a random route with the duration of its stretched min-snap plan, so a 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from statistics import median
 from typing import Any
@@ -64,6 +64,10 @@ class Size:
     naive_nodes: int = 400
     rockit_nodes: int = 100
     most_s: float = 300.0
+
+    def peers_alone(self) -> Size:
+        """Return the same problems for the peers, and no others."""
+        return replace(self, plans=0, free_time=0, scaling=0, success=0)
 
     @property
     def courses(self) -> int:
