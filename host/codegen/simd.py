@@ -132,8 +132,8 @@ def lanes_of(rows: np.ndarray, lanes: int) -> Annotated[np.ndarray, "... lanes"]
     """Return rows (n, ...) as aligned (groups, ..., lanes); the first row fills the last group."""
     groups = -(-len(rows) // lanes)
     out = aligned((groups, *rows.shape[1:], lanes))
-    for k in range(groups * lanes):
-        out[k // lanes, ..., k % lanes] = rows[k if k < len(rows) else 0]
+    filled = rows[np.where(np.arange(groups * lanes) < len(rows), np.arange(groups * lanes), 0)]
+    out[...] = np.moveaxis(filled.reshape(groups, lanes, *rows.shape[1:]), 1, -1)
     return out
 
 

@@ -90,6 +90,10 @@ class Dynamics:
     vehicle: Vehicle
     model: ResidualModel = field(default_factory=ResidualModel)
     augmented: bool = False
+    _steady: dict[tuple[float, ...], Array] = field(
+        default_factory=dict[tuple[float, ...], Array], init=False, repr=False, compare=False
+    )
+    """Steady states found before."""
 
     @property
     def hover_n(self) -> float:
@@ -195,6 +199,14 @@ class Dynamics:
         Newton's method on attitude and thrusts, with slopes by differences. The state differs from level
         hover only with augmented dynamics. Raises ValueError where the model has no such state.
         """
+        asked = (yaw, *v_ned, *p_ned)
+        if asked not in self._steady:
+            self._steady[asked] = self._solve_steady(yaw, v_ned, p_ned)
+        return self._steady[asked].copy()
+
+    def _solve_steady(
+        self, yaw: float, v_ned: Sequence[float], p_ned: Sequence[float]
+    ) -> Annotated[np.ndarray, "16"]:
         value = np.array([0.0, 0.0, 1.0, 1.0, 1.0, 1.0])
         steps = _STEP * np.eye(6)
         for _ in range(20):

@@ -55,6 +55,8 @@ _RIPPLE = 0.1
 _PATIENCE = 4
 """Rounds after which a path that exceeds a limit is made smoother, and one that does not is accepted even if
 its heading still changes."""
+_COARSE_TRIES = 3
+"""Greatest number of times that a coarse grid's box is tightened."""
 _NEARLY_FEASIBLE = 0.05
 """Constraint violation up to which the next round starts from an unfinished iterate."""
 _TRACKABLE = 0.95
@@ -184,11 +186,15 @@ class _Run:
         before: tuple[Problem, Solution, Grid] | None = None
         for grid in reversed(grids[1:]):
             solution = self._solve_on(grid, before)
-            if solution.status.usable and grid.step_s <= NODE_S:
+            for _ in range(_COARSE_TRIES):
+                if not (solution.status.usable and grid.step_s <= NODE_S):
+                    break
                 judged = self.judged(solution, grid)
-                if not judged.ok:  # finer grids would fail too, and take longer
-                    self.box = self.box.tightened(judged.margins)
-                    solution = self._solve_on(grid, (self.problem, solution, grid))
+                if judged.ok:
+                    break
+                # Finer grids would fail too, and take longer.
+                self.box = self.box.tightened(judged.margins)
+                solution = self._solve_on(grid, (self.problem, solution, grid))
             before = (self.problem, solution, grid) if solution.status.usable else None
         solution = self._solve_on(self.grid, before)
         self.rounds += 1

@@ -67,7 +67,7 @@ class Size:
 
     def peers_alone(self) -> Size:
         """Return the same problems for the peers, and no others."""
-        return replace(self, plans=0, free_time=0, scaling=0, success=0)
+        return replace(self, plans=0, free_time=0, scaling=0, scaling_nodes=(), success=0)
 
     @property
     def courses(self) -> int:
