@@ -41,7 +41,7 @@
 /* Linearisation of a stage: x_next = ab (dx, du) + gap; the Hessian and slope of all that its unknowns cost. */
 typedef struct { double ab[XR][PAD], hessian[WR][PAD], slope[PAD], gap[XR]; } Stage;
 /* Riccati recursion: the cost to go dx' p dx / 2 + q' dx, and du = gain dx + shift. */
-typedef struct { double p[XR][XR], q[XR], gain[U][XR], shift[U]; } Ahead;
+typedef struct { double p[XR][PAD], q[PAD], gain[U][PAD], shift[U]; } Ahead;
 
 typedef void (*Values)(const double *, long, const V *, V *, V *, V *);
 typedef void (*Hessians)(const double *, long, const V *, const V *, const V *, const V *, V *, V *, V *, V *);
@@ -144,6 +144,27 @@ static int evaluate(Problem *p, const double *w, const double *s, double *object
     return isfinite(*barrier) && isfinite(total);
 }
 
+/* out (PAD) += by in. */
+INLINE void add_row(double *out, double by, const double *in) {
+    for (int j = 0; j < PAD; j += LANES) {
+        V sum, row;
+        memcpy(&sum, out + j, sizeof sum);
+        memcpy(&row, in + j, sizeof row);
+        sum += by * row;
+        memcpy(out + j, &sum, sizeof sum);
+    }
+}
+
+/* row (PAD) *= by. */
+INLINE void scale_row(double *row, double by) {
+    for (int j = 0; j < PAD; j += LANES) {
+        V value;
+        memcpy(&value, row + j, sizeof value);
+        value *= by;
+        memcpy(row + j, &value, sizeof value);
+    }
+}
+
 /* Adds weight times the slope of a quantity to `out` (W). */
 INLINE void add_slope(const Problem *p, long k, int which, double weight, double *out) {
     if (which < W) { out[which] += weight; return; }
@@ -229,8 +250,7 @@ static double optimality(const Problem *p, double mu) {
             const Stage *t = p->stages + k;
             memcpy(slope, t->slope, sizeof(double) * W);
             for (int i = 0; i < X; ++i) {
-                double by = p->costate[(k + 1) * X + i];
-                for (int c = 0; c < W; ++c) slope[c] += by * t->ab[i][c];
+                add_row(slope, p->costate[(k + 1) * X + i], t->ab[i]);
             }
         }
         if (k) for (int i = 0; i < X; ++i) {
@@ -299,17 +319,15 @@ INLINE int factorise(double *a, int size, int stride) {
     return 1;
 }
 
-/* b (size, columns) := inverse of factor factor' times b. */
-INLINE void substitute(const double *a, int size, int stride, double *b, int columns, int b_stride) {
+/* b (size, PAD) := inverse of factor factor' times b. */
+INLINE void substitute(const double *a, int size, int stride, double *b) {
     for (int i = 0; i < size; ++i) {
-        for (int l = 0; l < i; ++l)
-            for (int c = 0; c < columns; ++c) b[i * b_stride + c] -= a[i * stride + l] * b[l * b_stride + c];
-        for (int c = 0; c < columns; ++c) b[i * b_stride + c] /= a[i * stride + i];
+        for (int l = 0; l < i; ++l) add_row(b + i * PAD, -a[i * stride + l], b + l * PAD);
+        scale_row(b + i * PAD, 1.0 / a[i * stride + i]);
     }
     for (int i = size; i-- > 0;) {
-        for (int l = i + 1; l < size; ++l)
-            for (int c = 0; c < columns; ++c) b[i * b_stride + c] -= a[l * stride + i] * b[l * b_stride + c];
-        for (int c = 0; c < columns; ++c) b[i * b_stride + c] /= a[i * stride + i];
+        for (int l = i + 1; l < size; ++l) add_row(b + i * PAD, -a[l * stride + i], b + l * PAD);
+        scale_row(b + i * PAD, 1.0 / a[i * stride + i]);
     }
 }
 
@@ -321,10 +339,8 @@ static void add_barrier(const Problem *p, long k, double (*hessian)[PAD], double
         double one[PAD] = {0.0};
         if (which < W) { hessian[which][which] += 1.0 / DELTA; slope[which] += by; continue; }
         add_slope(p, k, which, 1.0, one);
-        for (int i = 0; i < W; ++i) if (one[i] != 0.0) {
-            slope[i] += by * one[i];
-            for (int j = 0; j < W; ++j) hessian[i][j] += one[i] * one[j] / DELTA;
-        }
+        add_row(slope, by, one);
+        for (int i = 0; i < W; ++i) if (one[i] != 0.0) add_row(hessian[i], one[i] / DELTA, one);
     }
     for (int b = p->bound_begin[k]; b < p->bound_begin[k + 1]; ++b) {
         int which = p->bound_at[b];
@@ -335,16 +351,14 @@ static void add_barrier(const Problem *p, long k, double (*hessian)[PAD], double
         if (which < W) { hessian[which][which] += weight; slope[which] += push; continue; }
         double one[PAD] = {0.0};
         add_slope(p, k, which, 1.0, one);
-        for (int i = 0; i < W; ++i) if (one[i] != 0.0) {
-            slope[i] += push * one[i];
-            for (int j = 0; j < W; ++j) hessian[i][j] += weight * one[i] * one[j];
-        }
+        add_row(slope, push, one);
+        for (int i = 0; i < W; ++i) if (one[i] != 0.0) add_row(hessian[i], weight * one[i], one);
     }
 }
 
 /* The Riccati recursion; 0 where the Hessian on the linearised chain is not positive definite. */
 static int recurse(Problem *p) {
-    double m[WR][PAD], slope[PAD], t[XR][PAD];
+    double m[WR][PAD], slope[PAD], t[XR][PAD], solved[U][PAD];
     for (long k = p->count; k >= 0; --k) {
         Ahead *here = p->ahead + k, *next = here + 1;
         if (k == p->count) {
@@ -356,53 +370,43 @@ static int recurse(Problem *p) {
         }
         for (int i = 0; i < W; ++i) m[i][i] += p->damping;
         add_barrier(p, k, m, slope);
-        if (k == p->count) {
-            for (int i = 0; i < X; ++i) {
-                for (int j = 0; j < X; ++j) here->p[i][j] = m[i][j];
-                here->q[i] = slope[i];
+        if (k < p->count) {
+            const Stage *stage = p->stages + k;
+            double ahead[PAD];
+            memcpy(ahead, next->q, sizeof ahead);
+            for (int j = 0; j < X; ++j) add_row(ahead, stage->gap[j], next->p[j]);
+            for (int i = 0; i < X; ++i) add_row(slope, ahead[i], stage->ab[i]);
+            memset(t, 0, sizeof t);
+            for (int i = 0; i < XR; i += 4) add_product(next->p[i], PAD, 1, stage->ab[0], X, t[i]);
+            for (int i = 0; i < WR; i += 4) add_product(stage->ab[0] + i, 1, PAD, t[0], X, m[i]);
+            double factor[U][U];
+            for (int i = 0; i < U; ++i) {
+                for (int j = 0; j < U; ++j) factor[i][j] = m[X + i][X + j];
+                memcpy(solved[i], m[X + i], sizeof solved[i]);
+                solved[i][X] = slope[X + i];
             }
-            continue;
-        }
-        const Stage *stage = p->stages + k;
-        double ahead[XR];
-        for (int i = 0; i < X; ++i) {
-            ahead[i] = next->q[i];
-            for (int j = 0; j < X; ++j) ahead[i] += next->p[i][j] * stage->gap[j];
-        }
-        for (int i = 0; i < X; ++i) for (int c = 0; c < W; ++c) slope[c] += ahead[i] * stage->ab[i][c];
-        memset(t, 0, sizeof t);
-        for (int i = 0; i < XR; i += 4) add_product(next->p[i], XR, 1, stage->ab[0], X, t[i]);
-        for (int i = 0; i < WR; i += 4) add_product(stage->ab[0] + i, 1, PAD, t[0], X, m[i]);
-        double factor[U][U], solved[U][XR + 1];
-        for (int i = 0; i < U; ++i) {
-            for (int j = 0; j < U; ++j) factor[i][j] = m[X + i][X + j];
-            for (int j = 0; j < X; ++j) solved[i][j] = m[X + i][j];
-            solved[i][X] = slope[X + i];
-        }
-        if (!factorise(factor[0], U, U)) return 0;
-        substitute(factor[0], U, U, solved[0], X + 1, XR + 1);
-        for (int i = 0; i < U; ++i) {
-            for (int j = 0; j < X; ++j) here->gain[i][j] = -solved[i][j];
-            here->shift[i] = -solved[i][X];
+            if (!factorise(factor[0], U, U)) return 0;
+            substitute(factor[0], U, U, solved[0]);
+            for (int i = 0; i < U; ++i) {
+                for (int j = 0; j < X; ++j) here->gain[i][j] = -solved[i][j];
+                here->shift[i] = -solved[i][X];
+                for (int j = 0; j < X; ++j) add_row(m[j], m[X + i][j], here->gain[i]);
+                add_row(slope, here->shift[i], m[X + i]);
+            }
         }
         for (int i = 0; i < X; ++i) {
-            for (int j = 0; j < X; ++j) {
-                double v = m[i][j];
-                for (int u = 0; u < U; ++u) v += m[X + u][i] * here->gain[u][j];
-                here->p[i][j] = v;
-            }
+            for (int j = 0; j < i; ++j) here->p[i][j] = here->p[j][i] = 0.5 * (m[i][j] + m[j][i]);
+            here->p[i][i] = m[i][i];
             here->q[i] = slope[i];
-            for (int u = 0; u < U; ++u) here->q[i] += m[X + u][i] * here->shift[u];
         }
-        for (int i = 0; i < X; ++i) for (int j = 0; j < i; ++j)
-            here->p[i][j] = here->p[j][i] = 0.5 * (here->p[i][j] + here->p[j][i]);
     }
-    double first[XR][XR];
+    double first[XR][PAD], dx[X][PAD];
     memcpy(first, p->ahead[0].p, sizeof first);
-    if (!factorise(first[0], X, XR)) return 0;
-    double *dx = p->dw;
-    for (int i = 0; i < X; ++i) dx[i] = -p->ahead[0].q[i];
-    substitute(first[0], X, XR, dx, 1, 1);
+    if (!factorise(first[0], X, PAD)) return 0;
+    memset(dx, 0, sizeof dx);
+    for (int i = 0; i < X; ++i) dx[i][0] = -p->ahead[0].q[i];
+    substitute(first[0], X, PAD, dx[0]);
+    for (int i = 0; i < X; ++i) p->dw[i] = dx[i][0];
     return 1;
 }
 
@@ -411,10 +415,11 @@ static void roll(Problem *p) {
     for (long k = 0; k <= p->count; ++k) {
         double *dx = p->dw + k * W, *du = dx + X;
         const Ahead *a = p->ahead + k;
-        if (k) for (int i = 0; i < X; ++i) {
-            double v = a->q[i];
-            for (int j = 0; j < X; ++j) v += a->p[i][j] * dx[j];
-            p->costate_new[k * X + i] = v;
+        if (k) {
+            double costate[PAD];
+            memcpy(costate, a->q, sizeof costate);
+            for (int j = 0; j < X; ++j) add_row(costate, dx[j], a->p[j]);
+            memcpy(p->costate_new + k * X, costate, sizeof(double) * X);
         }
         if (k == p->count) break;
         const Stage *t = p->stages + k;

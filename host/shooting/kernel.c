@@ -3,7 +3,8 @@
    A lane is an interval, z = (x, u, h). Behind simd.h, rk4.h and layers.h, the functions f, df, ddf (dynamics), own, down
    and ddown (cost and path at the interval's start), with a network seen, dseen, ddseen, given, dgiven and ddgiven;
    the sizes NX, NU, NP, ROWS, D_ROWS (of the residual); the patterns A (d f/dx), B (d f/du), HESSIAN (Hessian of f),
-   PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. NETWORK and RESIDUAL
+   PATH (d path/d(x, u)), OWN (Hessian at the start), each as NAME_NNZ, NAME_ROW and NAME_COL. The dynamics do not
+   depend on the states before FIRST: their columns of derivatives are those of the identity. NETWORK and RESIDUAL
    are 0 or 1. NETWORK_ROW is the first row of the dynamics that the network is added to, -1 for none. With a network
    SEEN, UNITS, LAST (widest layer) and the calls FORWARD, SLOPES and HESSIANS. */
 
@@ -88,7 +89,8 @@ static void net_hessian(const double *xi, const V *state, const Net *n, const V 
 typedef struct { V d[3]; } Net;
 #endif
 
-/* One evaluation of the dynamics: where, the slope, what its derivatives need. S = d(x, u)/dz, K = d k/dz. */
+/* One evaluation of the dynamics: where, the slope, what its derivatives need. S = d(x, u)/dz, K = d k/dz, both from
+   the column FIRST on. */
 typedef struct { V x[NX], k[NX], a[A_NNZ], b[B_NNZ], S[NXU * NZ], K[NX * NZ]; Net net; } Evaluation;
 
 static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) {
@@ -106,8 +108,8 @@ static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) 
         if (!slopes) continue;
         for (int r = 0; r < NX; ++r) {
             V *row = now->S + r * NZ;
-            for (int c = 0; c < NZ; ++c) row[c] = i ? ALONG[i] * step * last->K[r * NZ + c] : splat(0.0);
-            row[r] += 1.0;
+            for (int c = FIRST; c < NZ; ++c) row[c] = i ? ALONG[i] * step * last->K[r * NZ + c] : splat(0.0);
+            if (r >= FIRST) row[r] += 1.0;
             if (i) row[NXU] += ALONG[i] * *at.h0 * last->k[r];
         }
         for (int c = 0; c < NU * NZ; ++c) now->S[NX * NZ + c] = splat(0.0);
@@ -116,13 +118,13 @@ static void integrate(const double *xi, Interval at, int slopes, Evaluation *e) 
         for (int n = 0; n < A_NNZ; ++n) {
             V *row = now->K + A_ROW[n] * NZ;
             const V *of = now->S + A_COL[n] * NZ;
-            for (int c = 0; c < NZ; ++c) row[c] += now->a[n] * of[c];
+            for (int c = FIRST; c < NZ; ++c) row[c] += now->a[n] * of[c];
         }
 #if DRIVEN
         for (int r = 0; r < 3; ++r) for (int q = 0; q < 6; ++q) {
             V *row = now->K + (NETWORK_ROW + r) * NZ;
             const V *of = now->S + (3 + q) * NZ;
-            for (int c = 0; c < NZ; ++c) row[c] += now->net.jacobian[r * 6 + q] * of[c];
+            for (int c = FIRST; c < NZ; ++c) row[c] += now->net.jacobian[r * 6 + q] * of[c];
         }
 #endif
         for (int n = 0; n < B_NNZ; ++n) now->K[B_ROW[n] * NZ + NX + B_COL[n]] += now->b[n];
@@ -190,7 +192,8 @@ INLINE void step_slope(Interval at, const Evaluation *e, V *x_slope) {
     for (int r = 0; r < NX; ++r) {
         V *row = x_slope + r * NZ, mean = splat(0.0);
         for (int i = 0; i < 4; ++i) mean += WEIGHT[i] * e[i].k[r];
-        for (int c = 0; c < NZ; ++c) {
+        for (int c = 0; c < FIRST; ++c) row[c] = splat(0.0);
+        for (int c = FIRST; c < NZ; ++c) {
             V total = splat(0.0);
             for (int i = 0; i < 4; ++i) total += WEIGHT[i] * e[i].K[r * NZ + c];
             row[c] = step * total;
@@ -256,14 +259,14 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
 #endif
         for (int k = 0; k < ACTIVE; ++k) {
             V *row = BS + ACTIVE_ROW[k] * NZ;
-            for (int c = 0; c < NZ; ++c) row[c] = splat(0.0);
+            for (int c = FIRST; c < NZ; ++c) row[c] = splat(0.0);
         }
         for (int n = 0; n < HESSIAN_NNZ; ++n) {
             int r = HESSIAN_ROW[n], q = HESSIAN_COL[n];
-            for (int c = 0; c < NZ; ++c) BS[r * NZ + c] += hessian[n] * e[i].S[q * NZ + c];
-            if (r != q) for (int c = 0; c < NZ; ++c) BS[q * NZ + c] += hessian[n] * e[i].S[r * NZ + c];
+            for (int c = FIRST; c < NZ; ++c) BS[r * NZ + c] += hessian[n] * e[i].S[q * NZ + c];
+            if (r != q) for (int c = FIRST; c < NZ; ++c) BS[q * NZ + c] += hessian[n] * e[i].S[r * NZ + c];
         }
-        for (int p = 0; p < NZ; ++p) {
+        for (int p = FIRST; p < NZ; ++p) {
             V *row = H + p * NZ;
             for (int k = 0; k < ACTIVE; ++k) {
                 int r = ACTIVE_ROW[k];
@@ -272,7 +275,7 @@ static void hessian_of(const double *xi, Interval at, const V *sigma, const V *l
             }
         }
     }
-    for (int c = 0; c < NZ; ++c) {
+    for (int c = FIRST; c < NZ; ++c) {
         V cross = splat(0.0);
         for (int r = 0; r < NX; ++r) {
             for (int i = 0; i < 4; ++i) cross += WEIGHT[i] * lam[r] * e[i].K[r * NZ + c];
