@@ -97,6 +97,7 @@ def measure(
     return {
         "controller": CONTROLLER,
         "hidden": list(_HIDDEN),
+        "stages": settings.stages,
         "steps": len(statuses),
         "mpc_step_ms_p50": p50,
         "mpc_step_ms_p99": p99,

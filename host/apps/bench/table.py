@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
-from trimtab.host.apps.bench.machine import gradient_floor_ms
+from trimtab.host.apps.bench.machine import gradient_floor_ms, recursion_floor_ms
+from trimtab.host.control.dynamics import INPUTS, STATES
 
 Figures = dict[str, Any]
 
@@ -28,8 +29,8 @@ def answer(
 def peer_rows(machine: Figures, learning: Figures, planning: Figures, control: Figures) -> list[Figures]:
     """Return a row for each peer: task, peer, ours_ms, peer_ms, at_least, over_ours, floor_ms.
 
-    at_least: the peer had not finished, so its time and the ratio are lower bounds. floor_ms: of the
-    task's arithmetic at the machine's peak; None where it is not known.
+    at_least: the peer had not finished, so its time and the ratio are lower bounds. floor_ms: of the task's
+    arithmetic at the machine's peak, for the network or the factorisations; None where it is not known.
     """
     floor_ms = gradient_floor_ms(
         machine["peak_gflops"], learning["gradient_weights"], learning["gradient_points"]
@@ -49,7 +50,9 @@ def peer_rows(machine: Figures, learning: Figures, planning: Figures, control: F
         task = f"min-snap, {spline['waypoints']} waypoints"
         rows.append(_row(task, "minsnap-trajectories", spline["ours_ms"], spline["ms"]))
     mpc = control["naive"]
-    rows.append(_row("MPC, one solve", "CasADi map and Ipopt", mpc["ours_ms"], mpc["ms"]))
+    one_ms = recursion_floor_ms(machine["peak_gflops"], STATES, INPUTS, control["stages"] + 1)
+    floor_ms = None if one_ms is None else control["iterations_mean"] * one_ms
+    rows.append(_row("MPC, one solve", "CasADi map and Ipopt", mpc["ours_ms"], mpc["ms"], floor_ms=floor_ms))
     return rows
 
 

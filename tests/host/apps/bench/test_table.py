@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from typing import Any
 
+import pytest
+
 from trimtab.host.apps.bench import table
 
 MACHINE: dict[str, Any] = {"lanes": 4, "features": [], "peak_gflops": 10.0}
@@ -19,7 +21,12 @@ PLANNING: dict[str, Any] = {
     "rockit": None,
     "minsnap_trajectories": None,
 }
-CONTROL: dict[str, Any] = {"mpc_solve_ms_p99": 1.5, "naive": {"ms": 60.0, "ours_ms": 1.0}}
+CONTROL: dict[str, Any] = {
+    "mpc_solve_ms_p99": 1.5,
+    "stages": 20,
+    "iterations_mean": 2.0,
+    "naive": {"ms": 60.0, "ours_ms": 1.0},
+}
 
 
 def test_answer_has_a_row_for_each_peer_and_the_solver_of_the_mpc_under_planning() -> None:
@@ -36,6 +43,10 @@ def test_answer_has_a_row_for_each_peer_and_the_solver_of_the_mpc_under_planning
     jax = rows["gradient, 10 x 49 steps", "JAX"]
     assert (jax["over_ours"], jax["floor_ms"]) == (5.0, 1.2)
     assert rows["first solve, 400 intervals", "CasADi map and Ipopt"]["over_ours"] == 1500.0
+    recursion = 2 * 13 * 13 * 17 + 2 * 13 * 17 * 17
+    assert rows["MPC, one solve", "CasADi map and Ipopt"]["floor_ms"] == pytest.approx(
+        2.0 * 21 * recursion * 1e-7
+    )
     lines = table.peer_lines(answer["peers"])
     assert len(lines) == 1 + len(rows)
     assert ">=1500.0" in lines[3]
