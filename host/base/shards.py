@@ -97,7 +97,8 @@ def _join(path: Path, target: Path, *, top: bool) -> None:
         ours, theirs = (json.loads(each.read_text("utf-8")) for each in (target, path))
         same = all(ours.get(key, value) == value for key, value in theirs.items())
         if same:
-            write_atomic(target, json_text({**ours, **theirs}), force=True)
+            joined = dict(sorted({**ours, **theirs}.items()))
+            write_atomic(target, json_text(joined), force=True)
     elif target.parent.name == PIECES:
         same = target.read_bytes() == path.read_bytes()
     if not same:
