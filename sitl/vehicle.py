@@ -8,17 +8,19 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
 from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
+from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.codegen import function_engine, sx_function
+from trimtab.host.codegen.all_at_once import ALL_AT_ONCE
 from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
@@ -259,6 +261,7 @@ class SimulatedVehicle:
             vehicle_id=setting.vehicle.id_bytes,
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
+            check=partial(check_blob, evaluator=ALL_AT_ONCE),
         )
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick
