@@ -17,9 +17,10 @@ SIGNED_FLAG = 0x01
 """Incompatibility flag of a message with a signature."""
 _PRIVATE = 52100
 _MAGIC = bytes([MAGIC])
-# id: (checksum seed, longest payload). Standard messages may have extensions that this dialect lacks.
-_KNOWN: dict[int, tuple[bytes, int]] = {
-    number: (bytes([seed]), longest if number >= _PRIVATE else 255)
+# id as in the header: (checksum seed, longest payload). Standard messages may have extensions that this
+# dialect lacks.
+_KNOWN: dict[bytes, tuple[bytes, int]] = {
+    number.to_bytes(3, "little"): (bytes([seed]), longest if number >= _PRIVATE else 255)
     for number, (_, seed, longest) in MESSAGES.items()
 }
 
@@ -71,7 +72,7 @@ class StreamSplitter:
             if end - at < OVERHEAD_BYTES:
                 break
             length, flags = data[at + 1], data[at + 2]
-            known = _KNOWN.get(data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16)
+            known = _KNOWN.get(data[at + 7 : at + HEADER_BYTES])
             if known is None or length > known[1] or flags > SIGNED_FLAG:
                 self.bad_bytes += 1
                 at += 1
