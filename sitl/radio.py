@@ -9,6 +9,7 @@ from __future__ import annotations
 import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -217,5 +218,6 @@ def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
 
 
 def _uniforms(rng: np.random.Generator) -> Iterator[float]:
-    while True:
-        yield from rng.random(_BLOCK).tolist()
+    """Return uniform numbers in 0..1 without end, drawn in blocks."""
+    blocks: Iterator[list[float]] = iter(lambda: rng.random(_BLOCK).tolist(), None)
+    return chain.from_iterable(blocks)

@@ -6,6 +6,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -45,13 +46,16 @@ class Imu:
         self.bias = bias * rng.standard_normal(7)
 
     def errors(self) -> Iterator[tuple[float, ...]]:
-        """Yield the errors of each tick without end: gyro 3, specific force 3, voltage 1.
+        """Return the errors of each tick without end: gyro 3, specific force 3, voltage 1.
 
         They are drawn in blocks, and each block is used from its last row.
         """
+        return chain.from_iterable(self._blocks())
+
+    def _blocks(self) -> Iterator[Iterator[tuple[float, ...]]]:
         while True:
             block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
-            yield from _SEVEN.iter_unpack(block[::-1].tobytes())
+            yield _SEVEN.iter_unpack(block[::-1].tobytes())
 
 
 class Pose(NamedTuple):

@@ -93,7 +93,7 @@ class Flight:
         self.flight_ticks = 0
         self.monitor = ConditionMonitor(parameters)
 
-        self._engine = engine
+        self._engine, self._run_law = engine, engine.run
         inputs, self.outputs = doubles(engine.inputs), doubles(engine.outputs)
         self._memory = inputs["memory"]
         self._memory_out = self.outputs["memory"]
@@ -238,7 +238,7 @@ class Flight:
         view[0], view[1], view[2] = force
         player.piece[0] = (now_us - player.piece_us) * 1e-6
         player.yaw[0] = (now_us - player.yaw_us) * 1e-6
-        self._engine()
+        self._run_law()
         self._memory[:] = self._memory_out
         if has_pose:
             self.poses.hide()

@@ -52,7 +52,7 @@ class AtRest:
         self.outputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in law.OUTPUTS}
         self._memory, self._memory_out = self.inputs["memory"], self.outputs["memory"]
 
-    def __call__(self) -> None:
+    def run(self) -> None:
         """Copy the memory from the inputs to the outputs."""
         self._memory_out[:] = self._memory
 
