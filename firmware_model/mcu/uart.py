@@ -68,7 +68,7 @@ class UartPort:
         self._idle_us = idle_us
         self._peer: UartPort | None = None
         self._busy_until = 0  # end of the last byte written, in units of 1/baud us
-        self._incoming: deque[tuple[int, bytes]] = deque()  # (start in peer units, bytes)
+        self._incoming: deque[tuple[int, int, bytes]] = deque()  # (start and end in peer units, bytes)
         self._taken = 0  # bytes of the first incoming segment that have arrived
         self._buffer = b""
 
@@ -88,10 +88,10 @@ class UartPort:
             self.refused += 1
             return False
         if size:
-            self._busy_until = start + size * _BYTE_UNITS
+            self._busy_until = end = start + size * _BYTE_UNITS
             self.sent += size
             if self._peer is not None:
-                self._peer._carry(start, bytes(data))
+                self._peer._carry(start, end, bytes(data))
         return True
 
     def tx_free(self, now_us: int) -> int:
@@ -109,34 +109,37 @@ class UartPort:
             self.due_us = NEVER_US
         return data
 
-    def _carry(self, start: int, data: bytes) -> None:
-        self._incoming.append((start, data))
-        if len(self._incoming) > _SEGMENTS_MAX and self._peer is not None:
+    def _carry(self, start: int, end: int, data: bytes) -> None:
+        incoming = self._incoming
+        incoming.append((start, end, data))
+        if len(incoming) > _SEGMENTS_MAX and self._peer is not None:
             self._arrive(start // self._peer.baud)  # no reader: move arrived bytes to the buffer
-        self._plan_due()
+        if len(incoming) == 1 and not self._buffer and len(data) < self._chunk and self._peer is not None:
+            self.due_us = -(-end // self._peer.baud) + self._idle_us
+        else:
+            self._plan_due()
 
     def _arrive(self, now_us: int) -> None:
         peer, incoming = self._peer, self._incoming
-        if peer is None or not incoming:
+        if peer is None:
             return
         now = now_us * peer.baud
-        while incoming:
-            start, data = incoming[0]
-            arrived = (now - start) // _BYTE_UNITS
-            if arrived <= self._taken:
-                return
-            fresh = data[self._taken : arrived]
-            count, room = len(fresh), self.rx_bytes - len(self._buffer)
-            self.received += count
-            if count > room:
-                self.overruns += count - room
+        while incoming and incoming[0][0] < now:
+            start, end, data = incoming[0]
+            if end <= now:
+                incoming.popleft()
+                fresh, self._taken = data[self._taken :], 0
+            else:
+                arrived = (now - start) // _BYTE_UNITS
+                fresh, self._taken = data[self._taken : arrived], arrived
+            room = self.rx_bytes - len(self._buffer)
+            self.received += len(fresh)
+            if len(fresh) > room:
+                self.overruns += len(fresh) - room
                 fresh = fresh[:room]
             self._buffer += fresh
-            if arrived < len(data):
-                self._taken = arrived
+            if end > now:
                 return
-            incoming.popleft()
-            self._taken = 0
 
     def _plan_due(self) -> None:
         """Set `due_us` to the time at which the line becomes idle after this burst, or a chunk is full."""
@@ -146,17 +149,17 @@ class UartPort:
             return
         chunk, idle = self._chunk, self._idle_us * peer.baud
         count = -self._taken
-        end = 0
-        for start, data in self._incoming:
-            if count > 0 and start > end:
+        due = 0
+        for start, end, data in self._incoming:
+            if count > 0 and start > due:
                 break  # the line was idle in between
             size = len(data)
             if count + size >= chunk:
-                end = start + (chunk - count) * _BYTE_UNITS
+                due = start + (chunk - count) * _BYTE_UNITS
                 break
             count += size
-            end = start + size * _BYTE_UNITS + idle
-        self.due_us = -(-end // peer.baud)
+            due = end + idle
+        self.due_us = -(-due // peer.baud)
 
 
 def connect(a: UartPort, b: UartPort) -> None:
