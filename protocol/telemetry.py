@@ -48,9 +48,11 @@ def difference(later: int, earlier: int) -> int:
 
 def encode_quaternion(q: Sequence[float]) -> tuple[int, int, int, int]:
     """Return the FC_ESTIMATE code of a unit quaternion, in steps of 1/32767 for each component."""
-    w, x, y, z = [round(QUATERNION_SCALE * part) for part in q]
-    if max(w, x, y, z) > QUATERNION_SCALE or min(w, x, y, z) < -QUATERNION_SCALE:  # by rounding
-        w, x, y, z = [max(-QUATERNION_SCALE, min(QUATERNION_SCALE, code)) for code in (w, x, y, z)]
+    w, x, y, z = q
+    scale = QUATERNION_SCALE
+    w, x, y, z = round(scale * w), round(scale * x), round(scale * y), round(scale * z)
+    if max(w, x, y, z) > scale or min(w, x, y, z) < -scale:  # by rounding
+        w, x, y, z = [max(-scale, min(scale, code)) for code in (w, x, y, z)]
     return (w, x, y, z)
 
 

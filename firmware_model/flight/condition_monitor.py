@@ -44,7 +44,8 @@ def fence(parameters: Mapping[str, float], margin_m: float = 0.0) -> Box:
 
 def within(p: Sequence[float], box: Box) -> bool:
     """Return whether a position lies in the box."""
-    return all(low <= x <= high for x, (low, high) in zip(p, box, strict=True))
+    (south, north), (west, east), (top, bottom) = box
+    return south <= p[0] <= north and west <= p[1] <= east and top <= p[2] <= bottom
 
 
 class Observation(NamedTuple):
@@ -99,7 +100,7 @@ class ConditionMonitor:
         self._imu_us = 0  # the IMU sample changed
         self._imu: tuple[float, ...] = ()
         self._update_us = 0
-        self._ticks = (0, 0)
+        self._flight_ticks = self._saturated_ticks = 0
         self._late_ticks_us: deque[int] = deque()
         self.configure(parameters)
 
@@ -138,9 +139,9 @@ class ConditionMonitor:
             self._recent_us = now_us
         if within(observation.p, self._fence):
             self._inside_us = now_us
-        counts = (observation.flight_ticks, observation.saturated_ticks)
-        ticks, saturated = (b - a for a, b in zip(self._ticks, counts, strict=True))
-        self._ticks = counts
+        ticks = observation.flight_ticks - self._flight_ticks
+        saturated = observation.saturated_ticks - self._saturated_ticks
+        self._flight_ticks, self._saturated_ticks = observation.flight_ticks, observation.saturated_ticks
         if saturated < _SATURATED_SHARE * ticks or not ticks:
             self._unsaturated_us = now_us
         if observation.imu != self._imu:

@@ -71,6 +71,7 @@ class UartPort:
         self._incoming: deque[tuple[int, int, bytes]] = deque()  # (start and end in peer units, bytes)
         self._taken = 0  # bytes of the first incoming segment that have arrived
         self._buffer = b""
+        self._is_single = False  # whether one write is on the line and nothing else, and it fills no chunk
 
     def write(self, data: bytes, now_us: int) -> bool:
         """Queue all of `data` for transmission; return False if the transmit buffer has no room.
@@ -101,6 +102,13 @@ class UartPort:
 
     def read(self, now_us: int) -> bytes:
         """Empty the receive buffer and return the bytes that arrived up to `now_us`, oldest first."""
+        if self._is_single and now_us >= self.due_us:
+            data = self._incoming.popleft()[2]
+            self._is_single = False
+            self.received += len(data)
+            self.due_us = NEVER_US
+            return data
+        self._is_single = False
         self._arrive(now_us)
         data, self._buffer = self._buffer, b""
         if self._incoming:
@@ -114,7 +122,8 @@ class UartPort:
         incoming.append((start, end, data))
         if len(incoming) > _SEGMENTS_MAX and self._peer is not None:
             self._arrive(start // self._peer.baud)  # no reader: move arrived bytes to the buffer
-        if len(incoming) == 1 and not self._buffer and len(data) < self._chunk and self._peer is not None:
+        self._is_single = len(incoming) == 1 and not self._buffer and len(data) < self._chunk
+        if self._is_single and self._peer is not None:
             self.due_us = -(-end // self._peer.baud) + self._idle_us
         else:
             self._plan_due()

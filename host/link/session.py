@@ -96,7 +96,8 @@ class Session:
         """Process received bytes, camera datagrams and the time. Return the bytes to write to the port."""
         self.now_us = now_us
         client = self.client
-        client.set_time(now_us)
+        if client.key is not None:
+            client.set_time(now_us)
         if self._script is None:
             self._script = self._make_script(self)
             self._resume(None)
