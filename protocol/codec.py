@@ -36,9 +36,8 @@ _LATE = 128  # a sequence number this far ahead of the last one, modulo 256, bel
 
 
 class _Layout(NamedTuple):
-    """Decoding of a payload: message id, size, unpacker, and the message of the unpacked values."""
+    """Decoding of a payload: size, unpacker, and the message of the unpacked values."""
 
-    number: int
     size: int
     unpack: Callable[[bytes], tuple[Any, ...]]
     build: Callable[[tuple[Any, ...]], Message]
@@ -58,7 +57,7 @@ def _layout(kind: Any) -> _Layout:
     layout = struct.Struct(form)
     # Written out field by field, as in `_packing`.
     build = eval(f"lambda values: kind({', '.join(map(fields.get, kind.fieldnames))})", {"kind": kind})
-    return _Layout(kind.id, layout.size, layout.unpack, build)
+    return _Layout(layout.size, layout.unpack, build)
 
 
 class _Packing(NamedTuple):
@@ -228,14 +227,8 @@ class Codec:
 
 def decode_message(frame: bytes) -> Message:
     """Return the message in a complete frame. Assumes that `StreamSplitter` has verified the checksum."""
-    number, size, unpack, build = _LAYOUTS[frame[7:HEADER_BYTES]]
-    _, length, incompatible, compatible, sequence, system, component = frame[:7]
-    payload = frame[HEADER_BYTES : HEADER_BYTES + length]
-    message: Any = build(unpack(payload if length == size else payload.ljust(size, b"\0")[:size]))
-    message._header = mavlink.MAVLink_header(
-        number, incompatible, compatible, length, sequence, system, component
-    )
+    size, unpack, build = _LAYOUTS[frame[7:HEADER_BYTES]]
+    payload = frame[HEADER_BYTES : HEADER_BYTES + frame[1]]
+    message: Any = build(unpack(payload if len(payload) == size else payload.ljust(size, b"\0")[:size]))
     message._msgbuf = frame
-    message._payload = payload
-    message._crc = frame[HEADER_BYTES + length] | frame[HEADER_BYTES + length + 1] << 8
     return message

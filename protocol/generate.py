@@ -38,13 +38,25 @@ _DEFAULTS = r"""\g<0>    _type, _fieldnames = msgname, fieldnames
     _instance_field, _instance_offset = instance_field, instance_offset
 """
 _BASE = r"^    def __init__\(self, msgId: int, name: str\) -> None:$"
-_BASE_DEFAULTS = """    _payload = _crc = _link_id = _instances = None
-    _msgbuf = bytearray(b"")
+_BASE_DEFAULTS = """    _link_id = _instances = None
+    _msgbuf: Union[bytes, bytearray] = b""
     _signed = False
 
     @cached_property
     def _header(self) -> MAVLink_header:
-        return MAVLink_header(type(self).id)
+        if not self._msgbuf:
+            return MAVLink_header(type(self).id)
+        length, incompatible, compatible, sequence, system, component = self._msgbuf[1:7]
+        return MAVLink_header(type(self).id, incompatible, compatible, length, sequence, system, component)
+
+    @cached_property
+    def _payload(self) -> Optional[Union[bytes, bytearray]]:
+        return self._msgbuf[10 : 10 + self._msgbuf[1]] if self._msgbuf else None
+
+    @cached_property
+    def _crc(self) -> Optional[int]:
+        end = 10 + self._msgbuf[1] if self._msgbuf else 0
+        return self._msgbuf[end] | self._msgbuf[end + 1] << 8 if end else None
 
     def __init__(self, msgId: int, name: str) -> None:"""
 _IMPORT = r"^from builtins import object, range$"
@@ -83,7 +95,7 @@ def _write_dialect(folder: Path) -> None:
 def _with_class_defaults(text: str) -> str:
     """Return the dialect module with the common attributes of messages in their classes.
 
-    The header of a message that was not received is made when it is read.
+    A message that was received has its bytes; header, payload and checksum are read from them when asked for.
     """
     for pattern, replacement in _EDITS:
         text, count = re.subn(pattern, replacement, text, flags=re.MULTILINE)

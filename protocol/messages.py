@@ -166,7 +166,8 @@ def station_name(station: Station) -> str:
 
 def sender_of(message: Message) -> Station:
     """Return system and component of the sender of a message."""
-    return message.get_srcSystem(), message.get_srcComponent()
+    header = message.get_header()
+    return header.srcSystem, header.srcComponent
 
 
 def is_signed(message: Message) -> bool:

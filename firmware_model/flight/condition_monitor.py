@@ -28,6 +28,20 @@ _DESCENT_GAIN = 0.02  # likewise in a level descent: 0.5 s
 TOUCH_US = 200_000
 """Time for which a sign of touchdown must last."""
 
+_EVENTS = (
+    Event.TILTED,
+    Event.IMU_STUCK,
+    Event.MOCAP_LOST,
+    Event.MOCAP_LATE,
+    Event.FENCE_LEFT,
+    Event.SATURATED,
+    Event.BATTERY_LOW,
+    Event.LOOP_OVERRUN,
+    Event.LINK_LOST,
+    Event.SETPOINTS_LOST,
+)
+_TIMED = tuple(row for row in CONDITIONS if row.timeout is not None)
+assert tuple(row.event for row in _TIMED) == _EVENTS, "the times are given in this order"
 
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """(low, high) of north, east and down, m."""
@@ -106,12 +120,9 @@ class ConditionMonitor:
 
     def configure(self, parameters: ParameterValues) -> None:
         """Read times and bounds from the parameters."""
-        self._timeouts = tuple(
-            (row, parameters.us(row.timeout) if row.lasting else 0)
-            for row in CONDITIONS
-            if row.timeout is not None
-            and not (row.event is Event.IMU_STUCK and parameters["FS_IMU_S"] == 0.0)
-        )
+        self._timeouts_us = [parameters.us(str(row.timeout)) if row.lasting else 0 for row in _TIMED]
+        if parameters["FS_IMU_S"] == 0.0:
+            self._timeouts_us[_EVENTS.index(Event.IMU_STUCK)] = NEVER_US
         self._cos_tilt = math.cos(math.radians(parameters["FS_TILT_DEG"]))
         self.pose_lost_us = parameters.us("FS_MOCAP_S")
         self._age_us = parameters.us("FS_AGE_S")
@@ -160,19 +171,20 @@ class ConditionMonitor:
         """Return the conditions active at the last update, in the order of the table."""
         late, now_us = self._late_ticks_us, self._update_us
         overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_window_us
-        since = {
-            Event.TILTED: self._level_us,
-            Event.IMU_STUCK: self._imu_us,
-            Event.MOCAP_LOST: self.pose_us,
-            Event.MOCAP_LATE: self._recent_us,
-            Event.FENCE_LEFT: self._inside_us,
-            Event.SATURATED: self._unsaturated_us,
-            Event.BATTERY_LOW: self._charged_us,
-            Event.LOOP_OVERRUN: late[0] if overrun else now_us,
-            Event.LINK_LOST: self.host_us,
-            Event.SETPOINTS_LOST: self.setpoint_us,
-        }
-        return [row for row, timeout_us in self._timeouts if now_us - since[row.event] > timeout_us]
+        since_us = (  # in the order of _EVENTS
+            self._level_us,
+            self._imu_us,
+            self.pose_us,
+            self._recent_us,
+            self._inside_us,
+            self._unsaturated_us,
+            self._charged_us,
+            late[0] if overrun else now_us,
+            self.host_us,
+            self.setpoint_us,
+        )
+        lasting = zip(_TIMED, since_us, self._timeouts_us, strict=True)
+        return [row for row, start_us, timeout_us in lasting if now_us - start_us > timeout_us]
 
     def update_touchdown(self, now_us: int, *, height: float, speed: float, reference_below: bool) -> bool:
         """Update the detection of touchdown by height (m) and speed (m/s); return whether it has happened.

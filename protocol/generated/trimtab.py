@@ -161,13 +161,25 @@ class MAVLink_message(object):
     instance_field: Optional[str] = None
     instance_offset = -1
 
-    _payload = _crc = _link_id = _instances = None
-    _msgbuf = bytearray(b"")
+    _link_id = _instances = None
+    _msgbuf: Union[bytes, bytearray] = b""
     _signed = False
 
     @cached_property
     def _header(self) -> MAVLink_header:
-        return MAVLink_header(type(self).id)
+        if not self._msgbuf:
+            return MAVLink_header(type(self).id)
+        length, incompatible, compatible, sequence, system, component = self._msgbuf[1:7]
+        return MAVLink_header(type(self).id, incompatible, compatible, length, sequence, system, component)
+
+    @cached_property
+    def _payload(self) -> Optional[Union[bytes, bytearray]]:
+        return self._msgbuf[10 : 10 + self._msgbuf[1]] if self._msgbuf else None
+
+    @cached_property
+    def _crc(self) -> Optional[int]:
+        end = 10 + self._msgbuf[1] if self._msgbuf else 0
+        return self._msgbuf[end] | self._msgbuf[end + 1] << 8 if end else None
 
     def __init__(self, msgId: int, name: str) -> None:
         self._header = MAVLink_header(msgId)
