@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 from fastcrc.crc16 import mcrf4xx
 
 from trimtab.protocol.generated.frames import MESSAGES
@@ -23,6 +25,8 @@ _KNOWN: dict[bytes, tuple[bytes, int]] = {
     number.to_bytes(3, "little"): (bytes([seed]), longest if number >= _PRIVATE else 255)
     for number, (_, seed, longest) in MESSAGES.items()
 }
+_UNKNOWN = (b"", -1)
+_read_header = struct.Struct("<xBB4x3s").unpack_from
 
 
 def message_id(message: bytes) -> int:
@@ -71,9 +75,9 @@ class StreamSplitter:
                 continue
             if end - at < OVERHEAD_BYTES:
                 break
-            length, flags = data[at + 1], data[at + 2]
-            known = _KNOWN.get(data[at + 7 : at + HEADER_BYTES])
-            if known is None or length > known[1] or flags > SIGNED_FLAG:
+            length, flags, number = _read_header(data, at)
+            seed, longest = _KNOWN.get(number, _UNKNOWN)
+            if length > longest or flags > SIGNED_FLAG:
                 self.bad_bytes += 1
                 at += 1
                 continue
@@ -85,7 +89,7 @@ class StreamSplitter:
                 self.bad_bytes += 1
                 at += 1
                 continue
-            if mcrf4xx(data[at + 1 : stop] + known[0]) != data[stop] | data[stop + 1] << 8:
+            if mcrf4xx(data[at + 1 : stop] + seed) != data[stop] | data[stop + 1] << 8:
                 self.bad_checksums += 1
                 self.bad_bytes += 1
                 at += 1
