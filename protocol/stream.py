@@ -41,13 +41,11 @@ class StreamSplitter:
     search resumes one byte later, so a damaged message does not cost its neighbours.
 
     Attributes, all counts since construction:
-        messages: complete messages.
         bad_bytes: bytes that belonged to no message.
         bad_checksums: plausible headers with a wrong checksum.
     """
 
     def __init__(self) -> None:
-        self.messages = 0
         self.bad_bytes = 0
         self.bad_checksums = 0
         self._pending = b""
@@ -100,7 +98,6 @@ class StreamSplitter:
             self.bad_bytes += end - at
             at = end
         self._pending = data[at:]
-        self.messages += len(messages)
         return messages
 
 

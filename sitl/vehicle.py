@@ -9,6 +9,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
+from operator import add
 from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
@@ -313,11 +314,10 @@ class SimulatedVehicle:
                     channel.wake(now_us, ground=True)
                 if (now_us >= air.radio_due_us or now_us >= air_uart.due_us) and air.tick(now_us):
                     channel.wake(now_us, ground=False)
-            p, q, r, x, y, z, volts = sensed
-            dp, dq, dr, dx, dy, dz, dv = next_errors()
+            p, q, r, x, y, z, volts = map(add, sensed, next_errors())
             if now_us >= timing.due_us and timing.missed(now_us):
                 return  # still busy with an earlier tick; the motor command stays the same
-            flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
+            flight_tick(now_us, (p, q, r), (x, y, z), volts)
 
         return tick
 

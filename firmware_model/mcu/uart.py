@@ -62,11 +62,10 @@ class UartPort:
         self.due_us = NEVER_US
         self.overruns = 0
         self.refused = 0
-        self.received = 0
-        self.sent = 0
         self._chunk = min(chunk_bytes or max(1, rx_bytes // 2), rx_bytes)
         self._idle_us = idle_us
         self._peer: UartPort | None = None
+        self._peer_baud = 0
         self._busy_until = 0  # end of the last byte written, in units of 1/baud us
         self._incoming: deque[tuple[int, int, bytes]] = deque()  # (start and end in peer units, bytes)
         self._taken = 0  # bytes of the first incoming segment that have arrived
@@ -79,20 +78,16 @@ class UartPort:
         The bytes of an unconnected port take the same time and are lost.
         """
         size = len(data)
-        now = now_us * self.baud
-        start = self._busy_until
-        if start <= now:
-            free, start = self.tx_bytes, now
-        else:
-            free = self.tx_free(now_us)
+        start, free = now_us * self.baud, self.tx_bytes
+        if self._busy_until > start:
+            start, free = self._busy_until, self.tx_free(now_us)
         if size > free:
             self.refused += 1
             return False
         if size:
             self._busy_until = end = start + size * _BYTE_UNITS
-            self.sent += size
             if self._peer is not None:
-                self._peer._carry(start, end, bytes(data))
+                self._peer._carry(start, end, data)
         return True
 
     def tx_free(self, now_us: int) -> int:
@@ -105,7 +100,6 @@ class UartPort:
         if self._is_single and now_us >= self.due_us:
             data = self._incoming.popleft()[2]
             self._is_single = False
-            self.received += len(data)
             self.due_us = NEVER_US
             return data
         self._is_single = False
@@ -119,20 +113,17 @@ class UartPort:
 
     def _carry(self, start: int, end: int, data: bytes) -> None:
         incoming = self._incoming
+        self._is_single = not incoming and not self._buffer and len(data) < self._chunk
         incoming.append((start, end, data))
-        if len(incoming) > _SEGMENTS_MAX and self._peer is not None:
-            self._arrive(start // self._peer.baud)  # no reader: move arrived bytes to the buffer
-        self._is_single = len(incoming) == 1 and not self._buffer and len(data) < self._chunk
-        if self._is_single and self._peer is not None:
-            self.due_us = -(-end // self._peer.baud) + self._idle_us
-        else:
-            self._plan_due()
+        if self._is_single:
+            self.due_us = -(-end // self._peer_baud) + self._idle_us
+            return
+        if len(incoming) > _SEGMENTS_MAX:
+            self._arrive(start // self._peer_baud)  # no reader: move arrived bytes to the buffer
+        self._plan_due()
 
     def _arrive(self, now_us: int) -> None:
-        peer, incoming = self._peer, self._incoming
-        if peer is None:
-            return
-        now = now_us * peer.baud
+        incoming, now = self._incoming, now_us * self._peer_baud
         while incoming and incoming[0][0] < now:
             start, end, data = incoming[0]
             if end <= now:
@@ -142,7 +133,6 @@ class UartPort:
                 arrived = (now - start) // _BYTE_UNITS
                 fresh, self._taken = data[self._taken : arrived], arrived
             room = self.rx_bytes - len(self._buffer)
-            self.received += len(fresh)
             if len(fresh) > room:
                 self.overruns += len(fresh) - room
                 fresh = fresh[:room]
@@ -152,11 +142,10 @@ class UartPort:
 
     def _plan_due(self) -> None:
         """Set `due_us` to the time at which the line becomes idle after this burst, or a chunk is full."""
-        peer = self._peer
-        if self._buffer or peer is None or not self._incoming:
+        if self._buffer or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US
             return
-        chunk, idle = self._chunk, self._idle_us * peer.baud
+        chunk, idle = self._chunk, self._idle_us * self._peer_baud
         count = -self._taken
         due = 0
         for start, end, data in self._incoming:
@@ -168,7 +157,7 @@ class UartPort:
                 break
             count += size
             due = end + idle
-        self.due_us = -(-due // peer.baud)
+        self.due_us = -(-due // self._peer_baud)
 
 
 def connect(a: UartPort, b: UartPort) -> None:
@@ -178,5 +167,5 @@ def connect(a: UartPort, b: UartPort) -> None:
     """
     if a is b or a._peer is not None or b._peer is not None:
         raise ValueError("both ends must be two different ports that are not connected yet")
-    a._peer = b
-    b._peer = a
+    a._peer, a._peer_baud = b, b.baud
+    b._peer, b._peer_baud = a, a.baud

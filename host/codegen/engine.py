@@ -46,7 +46,8 @@ BlockFunction = Callable[[Any, Mapping[str, Sequence[Any]]], Mapping[str, Sequen
 class CompiledEngine:
     """Write `inputs`, call `run`, read `outputs`: memoryviews of doubles by block name, which never move.
 
-    run: evaluates the function at `inputs` into `outputs`. kind: "vm" or "c". function: its casadi.Function. It holds addresses, so it must not be copied or pickled.
+    run: evaluates the function at `inputs` into `outputs`. kind: "vm" or "c".
+    function: its casadi.Function. It holds addresses, so it must not be copied or pickled.
     """
 
     def __init__(
