@@ -27,6 +27,8 @@ class Radio(Protocol):
     """Interface of a radio to the channel."""
 
     @property
+    def has_frame(self) -> bool: ...
+    @property
     def pose_waits(self) -> bool: ...
     def air_send(self, now_us: int) -> bytes | None: ...
     def air_receive(self, frame: bytes, now_us: int) -> None: ...
@@ -87,7 +89,7 @@ class _Direction:
         self.draw = _uniforms(rng).__next__
         self.loss = BurstLoss(settings.loss, settings.burst_frames, settings.short_risk, self.draw)
         self.counts = DirectionCounts()
-        self.may_have = True  # whether the source may have a frame; False after it had none, until `wake`
+        self.may_have = True  # whether the source may have a frame; False once it has none, until `wake`
 
 
 class RadioChannel:
@@ -154,7 +156,7 @@ class RadioChannel:
             _, _, direction, frame = heappop(air)
             direction.counts.delivered += 1
             direction.target.air_receive(frame, now_us)
-        if now_us >= self._slot_us:
+        if now_us >= self._slot_us and (self._turn.may_have or self._other.may_have):
             self._give_slot(now_us)
         due_us = NEVER_US
         if self._turn.may_have or self._other.may_have:
@@ -168,7 +170,8 @@ class RadioChannel:
         keeps its turn. Two consecutive slots are never assigned out of turn, so the other radio gets at least
         every third slot.
         """
-        ahead = not self._ahead and self._other.source.pose_waits
+        follows = self._ahead and now_us <= self._slot_us
+        ahead = not follows and self._other.source.pose_waits
         self._ahead = ahead
         for direction in (self._other, self._turn) if ahead else (self._turn, self._other):
             if not direction.may_have:
@@ -180,6 +183,7 @@ class RadioChannel:
             self._slot_us = now_us + self._slot_length_us
             if direction is self._turn:
                 self._turn, self._other = self._other, direction
+            direction.may_have = direction.source.has_frame
             self._transmit(direction, frame, now_us)
             return
 

@@ -80,6 +80,11 @@ class RadioMcu:
         return min(self.uart.due_us, self.radio_due_us)
 
     @property
+    def has_frame(self) -> bool:
+        """Whether a frame waits for transmission."""
+        return self.packer.waiting > 0
+
+    @property
     def pose_waits(self) -> bool:
         """Whether a pose waits for transmission."""
         return bool(self.packer.poses)

@@ -108,6 +108,11 @@ class VehicleEnd:
         self._power_up()
 
     @property
+    def has_frame(self) -> bool:
+        """Whether a frame waits to be sent."""
+        return self.radio.has_frame
+
+    @property
     def pose_waits(self) -> bool:
         """Whether a pose waits to be sent: always False, because a vehicle sends none."""
         return False

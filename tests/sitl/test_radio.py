@@ -26,6 +26,10 @@ class Endless:
         self.received: list[tuple[int, bytes]] = []
         self.pose_waits = False
 
+    @property
+    def has_frame(self) -> bool:
+        return self.left > 0
+
     def air_send(self, now_us: int) -> bytes | None:
         if not self.left:
             return None
