@@ -166,8 +166,10 @@ def station_name(station: Station) -> str:
 
 def sender_of(message: Message) -> Station:
     """Return system and component of the sender of a message."""
-    header = message.get_header()
-    return header.srcSystem, header.srcComponent
+    data = message.get_msgbuf()
+    if data:  # received
+        return data[5], data[6]
+    return message.get_srcSystem(), message.get_srcComponent()
 
 
 def is_signed(message: Message) -> bool:
