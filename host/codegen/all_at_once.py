@@ -1,8 +1,7 @@
 """The vehicle's check of a reference with all samples in arrays: the law's equations, and its bits.
 
 `trimtab.firmware_model.law.scan` and `smoothness` hold the equations. Sums and products of arrays have the
-bits of floats; the elementary functions are those of the floats, value by value (`LIBM`). Where a result is
-not finite, floats and arrays compare differently: the floats decide.
+bits of floats; the elementary functions are those of the floats, value by value (`LIBM`).
 """
 
 from __future__ import annotations
@@ -13,8 +12,8 @@ from typing import Any
 import numpy as np
 
 from trimtab.firmware_model.law.checks import Evaluator
-from trimtab.firmware_model.law.scan import REASONS, Bounds, Part, curves, least_margins, sample_us
-from trimtab.firmware_model.law.smoothness import Neighbours, deviations, deviations_one_by_one
+from trimtab.firmware_model.law.scan import REASONS, Bounds, Part, curves, sample_us
+from trimtab.firmware_model.law.smoothness import Neighbours, deviations
 from trimtab.host.codegen.ops import LIBM
 
 
@@ -25,11 +24,8 @@ def _least_margins(parts: Sequence[Part], bounds: Bounds) -> tuple[dict[str, flo
     part_of = np.repeat(np.arange(len(parts)), sizes)
     k = np.arange(len(part_of)) - np.repeat(np.cumsum(sizes) - sizes, sizes)
     samples = Part(*(column[..., part_of] for column in columns))
-    with np.errstate(all="ignore"):
-        margins = bounds.margins(LIBM, curves(samples), sample_us(samples, k))
+    margins = bounds.margins(LIBM, curves(samples), sample_us(samples, k))
     table = np.array([margin for _, margin, *_ in margins])
-    if not np.isfinite(table).all():
-        return least_margins(parts, bounds)
     least = dict.fromkeys(REASONS, np.inf)
     for (name, *_), lowest in zip(margins, table.min(axis=1).tolist(), strict=True):
         least[name] = min(least[name], lowest)
@@ -44,9 +40,7 @@ def _deviations(nodes: Sequence[Neighbours]) -> Iterable[Sequence[float]]:
     """Return the deviations of each node."""
     if not nodes:
         return []
-    with np.errstate(all="ignore"):
-        table = np.array(deviations(LIBM, Neighbours(*_columns(nodes))))
-    return table.T.tolist() if np.isfinite(table).all() else deviations_one_by_one(nodes)
+    return np.array(deviations(LIBM, Neighbours(*_columns(nodes)))).T.tolist()
 
 
 def _columns(rows: Sequence[tuple[Any, ...]]) -> list[Any]:
