@@ -56,7 +56,9 @@ def _layout(kind: Any) -> _Layout:
             form, fields[name], at = f"{form}{count}{code}", f"values[{at}:{at + count}]", at + count
     layout = struct.Struct(form)
     # Written out field by field, as in `_packing`.
-    build = eval(f"lambda values: kind({', '.join(map(fields.get, kind.fieldnames))})", {"kind": kind})
+    build = eval(
+        f"lambda values: kind({', '.join(fields[name] for name in kind.fieldnames)})", {"kind": kind}
+    )
     return _Layout(layout.size, layout.unpack, build)
 
 
