@@ -36,12 +36,11 @@ _LATE = 128  # a sequence number this far ahead of the last one, modulo 256, bel
 
 
 class _Layout(NamedTuple):
-    """Decoding of a payload: message type, size, unpacker, and the unpacked values of each field."""
+    """Decoding of a payload: size, unpacker, and the message of the unpacked values."""
 
-    build: Callable[..., Message]
     size: int
     unpack: Callable[[bytes], tuple[Any, ...]]
-    fields: tuple[int | slice, ...]
+    build: Callable[[tuple[Any, ...]], Message]
 
 
 def _layout(kind: Any) -> _Layout:
@@ -50,21 +49,25 @@ def _layout(kind: Any) -> _Layout:
     for name, count in zip(kind.ordered_fieldnames, kind.array_lengths, strict=True):
         code = _CODES[types[name]]
         if count == 0:
-            form, fields[name], at = form + code, at, at + 1
+            form, fields[name], at = form + code, f"values[{at}]", at + 1
         elif code in "sB":
-            form, fields[name], at = f"{form}{count}s", at, at + 1
+            form, fields[name], at = f"{form}{count}s", f"values[{at}]", at + 1
         else:
-            form, fields[name], at = f"{form}{count}{code}", slice(at, at + count), at + count
+            form, fields[name], at = f"{form}{count}{code}", f"values[{at}:{at + count}]", at + count
     layout = struct.Struct(form)
-    return _Layout(kind, layout.size, layout.unpack, tuple(fields[name] for name in kind.fieldnames))
+    # Written out field by field, as in `_packing`.
+    build = eval(
+        f"lambda values: kind({', '.join(fields[name] for name in kind.fieldnames)})", {"kind": kind}
+    )
+    return _Layout(layout.size, layout.unpack, build)
 
 
 class _Packing(NamedTuple):
-    """Encoding of a message: untrimmed payload, checksum seed, and message id as the header splits it."""
+    """Encoding of a message: untrimmed payload, checksum seed, and message id as it is in the header."""
 
     payload: Callable[[Any], bytes]
     seed: bytes
-    message_id: tuple[int, int]
+    number: bytes
 
 
 def _packing(kind: Any) -> _Packing:
@@ -79,13 +82,15 @@ def _packing(kind: Any) -> _Packing:
             values.append(f"*message.{name}[:{count}]")
     # Written out field by field like the dialect's own methods: a loop over the fields takes twice as long.
     payload = eval(f"lambda message: pack({', '.join(values)})", {"pack": kind.unpacker.pack})
-    return _Packing(payload, bytes([kind.crc_extra]), (kind.id & 0xFFFF, kind.id >> 16))
+    return _Packing(payload, bytes([kind.crc_extra]), kind.id.to_bytes(3, "little"))
 
 
 _PACKINGS: dict[type[Message], _Packing] = {kind: _packing(kind) for kind in mavlink.mavlink_map.values()}
 _MAGIC = bytes([MAGIC])
-_HEADER = struct.Struct("<BBBBBBHB")  # without the magic byte
-_LAYOUTS: dict[int, _Layout] = {number: _layout(kind) for number, kind in mavlink.mavlink_map.items()}
+_HEADER = struct.Struct("<BBBBBB3s")  # without the magic byte
+_LAYOUTS: dict[bytes, _Layout] = {
+    number.to_bytes(3, "little"): _layout(kind) for number, kind in mavlink.mavlink_map.items()
+}
 
 
 class Codec:
@@ -137,7 +142,7 @@ class Codec:
         self.lost = 0
         self.repeated = 0
         self._splitter = StreamSplitter()
-        self._address = (system, component)
+        self._system, self._component = system, component
         self._sequence = 0
         self._last: dict[int, int] = {}
         self._missing: dict[int, set[int]] = {}
@@ -154,17 +159,17 @@ class Codec:
 
     def encode(self, message: Message) -> bytes:
         """Return the message as bytes with a new sequence number. Raises ValueError if a field overflows."""
-        packing = _PACKINGS[type(message)]
+        pack, seed, number = _PACKINGS[type(message)]
         try:
-            payload = packing.payload(message).rstrip(b"\0") or b"\0"
+            payload = pack(message).rstrip(b"\0") or b"\0"
         except (struct.error, TypeError, OverflowError, IndexError) as error:
             raise ValueError(f"{message.get_type()}: {error}") from error
         signer = self.signer
         flags = 0 if signer is None else SIGNED_FLAG
-        head = _HEADER.pack(len(payload), flags, 0, self._sequence, *self._address, *packing.message_id)
-        body = head + payload
-        crc = mcrf4xx(body + packing.seed)
-        self._sequence = (self._sequence + 1) & 0xFF
+        sequence = self._sequence
+        body = _HEADER.pack(len(payload), flags, 0, sequence, self._system, self._component, number) + payload
+        crc = mcrf4xx(body + seed)
+        self._sequence = (sequence + 1) & 0xFF
         self.sent += 1
         data = _MAGIC + body + crc.to_bytes(2, "little")
         return data if signer is None else data + signer.sign(data)
@@ -179,13 +184,14 @@ class Codec:
             frames = self._verified(frames, self.verifier)
         if not frames:
             return []
-        messages = [decode_message(frame) for frame in frames]
-        self.received += len(messages)
+        self.received += len(frames)
+        messages, newest = [], self._last
         for frame in frames:
+            messages.append(decode_message(frame))
             source, sequence = frame[5] << 8 | frame[6], frame[4]
-            last = self._last.get(source)
+            last = newest.get(source)
             if last is None or sequence == (last + 1) & 0xFF:
-                self._last[source] = sequence
+                newest[source] = sequence
             else:
                 self._count_gap(source, last, sequence)
         return messages
@@ -223,21 +229,8 @@ class Codec:
 
 def decode_message(frame: bytes) -> Message:
     """Return the message in a complete frame. Assumes that `StreamSplitter` has verified the checksum."""
-    layout = _LAYOUTS[frame[7] | frame[8] << 8 | frame[9] << 16]
-    length = frame[1]
-    payload = frame[HEADER_BYTES : HEADER_BYTES + length]
-    if length != layout.size:
-        payload = payload.ljust(layout.size, b"\0")[: layout.size]
-    values = layout.unpack(payload)
-    message: Any = layout.build(*[values[field] for field in layout.fields])
-    header = message._header
-    header.mlen = length
-    header.incompat_flags = frame[2]
-    header.compat_flags = frame[3]
-    header.seq = frame[4]
-    header.srcSystem = frame[5]
-    header.srcComponent = frame[6]
+    size, unpack, build = _LAYOUTS[frame[7:HEADER_BYTES]]
+    payload = frame[HEADER_BYTES : HEADER_BYTES + frame[1]]
+    message: Any = build(unpack(payload if len(payload) == size else payload.ljust(size, b"\0")[:size]))
     message._msgbuf = frame
-    message._payload = payload
-    message._crc = frame[HEADER_BYTES + length] | frame[HEADER_BYTES + length + 1] << 8
     return message

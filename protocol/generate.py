@@ -1,6 +1,7 @@
 """Generate `protocol/generated/`: `python -m trimtab.protocol.generate [folder]`.
 
-pymavlink's mavgen makes the dialect module from `dialect/trimtab.xml`. `frames.py`, the table that finds
+pymavlink's mavgen makes the dialect module from `dialect/trimtab.xml`. What its messages set up in each
+object then moves into their classes, so that messages are made faster. `frames.py`, the table that finds
 messages in a byte stream, comes from the same file. grpcio-tools makes `*_pb2.py` from `log/*.proto`. Only
 this script needs the two generators; Trimtab itself needs only the generated files.
 """
@@ -29,6 +30,44 @@ MESSAGES: dict[int, tuple[str, int, int]] = {{
 {rows}}}
 '''
 
+_SETUP = (
+    r"^        MAVLink_message\.__init__\(self, MAVLink_\w+\.id, .*\n(?:        self\._\w+ = MAVLink_.*\n){3}"
+)
+_LAST_FIELD = r"^    instance_offset = .*\n(?=\n    def __init__\(self, (?!msgId))"
+_DEFAULTS = r"""\g<0>    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
+"""
+_BASE = r"^    def __init__\(self, msgId: int, name: str\) -> None:$"
+_BASE_DEFAULTS = """    _link_id = _instances = None
+    _msgbuf: Union[bytes, bytearray] = b""
+    _signed = False
+
+    @cached_property
+    def _header(self) -> MAVLink_header:
+        if not self._msgbuf:
+            return MAVLink_header(type(self).id)
+        length, incompatible, compatible, sequence, system, component = self._msgbuf[1:7]
+        return MAVLink_header(type(self).id, incompatible, compatible, length, sequence, system, component)
+
+    @cached_property
+    def _payload(self) -> Optional[Union[bytes, bytearray]]:
+        return self._msgbuf[10 : 10 + self._msgbuf[1]] if self._msgbuf else None
+
+    @cached_property
+    def _crc(self) -> Optional[int]:
+        end = 10 + self._msgbuf[1] if self._msgbuf else 0
+        return self._msgbuf[end] | self._msgbuf[end + 1] << 8 if end else None
+
+    def __init__(self, msgId: int, name: str) -> None:"""
+_IMPORT = r"^from builtins import object, range$"
+_EDITS = (
+    (_SETUP, ""),
+    (_LAST_FIELD, _DEFAULTS),
+    (_BASE, _BASE_DEFAULTS),
+    (_IMPORT, "from builtins import object, range\nfrom functools import cached_property"),
+)
+"""Patterns of lines in mavgen's module, and what replaces them."""
+
 
 def generate(folder: Path = GENERATED) -> list[Path]:
     """Write the generated files into `folder` and return their paths. The output is reproducible."""
@@ -50,6 +89,19 @@ def _write_dialect(folder: Path) -> None:
         succeeded = mavgen.mavgen(options, [str(DIALECT)])
     if not succeeded:
         raise RuntimeError(f"mavgen rejected {DIALECT.name}:\n{output_text.getvalue()}")
+    output.write_text(_with_class_defaults(output.read_text(encoding="utf-8")), encoding="utf-8")
+
+
+def _with_class_defaults(text: str) -> str:
+    """Return the dialect module with the common attributes of messages in their classes.
+
+    A message that was received has its bytes; header, payload and checksum are read from them when asked for.
+    """
+    for pattern, replacement in _EDITS:
+        text, count = re.subn(pattern, replacement, text, flags=re.MULTILINE)
+        if not count:
+            raise RuntimeError(f"mavgen writes messages in another form: {pattern!r} is not found")
+    return text
 
 
 def _write_frames(folder: Path) -> None:

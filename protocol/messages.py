@@ -166,6 +166,9 @@ def station_name(station: Station) -> str:
 
 def sender_of(message: Message) -> Station:
     """Return system and component of the sender of a message."""
+    data = message.get_msgbuf()
+    if data:  # received
+        return data[5], data[6]
     return message.get_srcSystem(), message.get_srcComponent()
 
 

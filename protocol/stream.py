@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+
 from fastcrc.crc16 import mcrf4xx
 
 from trimtab.protocol.generated.frames import MESSAGES
@@ -17,11 +19,14 @@ SIGNED_FLAG = 0x01
 """Incompatibility flag of a message with a signature."""
 _PRIVATE = 52100
 _MAGIC = bytes([MAGIC])
-# id: (checksum seed, longest payload). Standard messages may have extensions that this dialect lacks.
-_KNOWN: dict[int, tuple[bytes, int]] = {
-    number: (bytes([seed]), longest if number >= _PRIVATE else 255)
+# id as in the header: (checksum seed, longest payload). Standard messages may have extensions that this
+# dialect lacks.
+_KNOWN: dict[bytes, tuple[bytes, int]] = {
+    number.to_bytes(3, "little"): (bytes([seed]), longest if number >= _PRIVATE else 255)
     for number, (_, seed, longest) in MESSAGES.items()
 }
+_UNKNOWN = (b"", -1)
+_read_header = struct.Struct("<xBB4x3s").unpack_from
 
 
 def message_id(message: bytes) -> int:
@@ -36,13 +41,11 @@ class StreamSplitter:
     search resumes one byte later, so a damaged message does not cost its neighbours.
 
     Attributes, all counts since construction:
-        messages: complete messages.
         bad_bytes: bytes that belonged to no message.
         bad_checksums: plausible headers with a wrong checksum.
     """
 
     def __init__(self) -> None:
-        self.messages = 0
         self.bad_bytes = 0
         self.bad_checksums = 0
         self._pending = b""
@@ -70,9 +73,9 @@ class StreamSplitter:
                 continue
             if end - at < OVERHEAD_BYTES:
                 break
-            length, flags = data[at + 1], data[at + 2]
-            known = _KNOWN.get(data[at + 7] | data[at + 8] << 8 | data[at + 9] << 16)
-            if known is None or length > known[1] or flags > SIGNED_FLAG:
+            length, flags, number = _read_header(data, at)
+            seed, longest = _KNOWN.get(number, _UNKNOWN)
+            if length > longest or flags > SIGNED_FLAG:
                 self.bad_bytes += 1
                 at += 1
                 continue
@@ -84,7 +87,7 @@ class StreamSplitter:
                 self.bad_bytes += 1
                 at += 1
                 continue
-            if mcrf4xx(data[at + 1 : stop] + known[0]) != data[stop] | data[stop + 1] << 8:
+            if mcrf4xx(data[at + 1 : stop] + seed) != data[stop] | data[stop + 1] << 8:
                 self.bad_checksums += 1
                 self.bad_bytes += 1
                 at += 1
@@ -95,7 +98,6 @@ class StreamSplitter:
             self.bad_bytes += end - at
             at = end
         self._pending = data[at:]
-        self.messages += len(messages)
         return messages
 
 

@@ -36,9 +36,9 @@ _HALF = 1 << 31
 _MASK = _MODULUS - 1
 
 
-def encode_sum(counts: float) -> int:
-    """Return the wire value of a running sum: its floor modulo 2^32."""
-    return math.floor(counts) & _MASK
+def encode_sums(counts: Sequence[float]) -> list[int]:
+    """Return the wire values of running sums: their floors modulo 2^32."""
+    return [math.floor(count) & _MASK for count in counts]
 
 
 def difference(later: int, earlier: int) -> int:
@@ -48,7 +48,11 @@ def difference(later: int, earlier: int) -> int:
 
 def encode_quaternion(q: Sequence[float]) -> tuple[int, int, int, int]:
     """Return the FC_ESTIMATE code of a unit quaternion, in steps of 1/32767 for each component."""
-    w, x, y, z = (max(-QUATERNION_SCALE, min(QUATERNION_SCALE, round(QUATERNION_SCALE * part))) for part in q)
+    w, x, y, z = q
+    scale = QUATERNION_SCALE
+    w, x, y, z = round(scale * w), round(scale * x), round(scale * y), round(scale * z)
+    if max(w, x, y, z) > scale or min(w, x, y, z) < -scale:  # by rounding
+        w, x, y, z = [max(-scale, min(scale, code)) for code in (w, x, y, z)]
     return (w, x, y, z)
 
 
@@ -93,9 +97,9 @@ def control_message(
         collective_n,
         rate_cmd,
         torque,
-        [encode_sum(counts) for counts in motor_sum],
-        [encode_sum(counts) for counts in gyro_sum],
-        [encode_sum(counts) for counts in force_sum],
+        encode_sums(motor_sum),
+        encode_sums(gyro_sum),
+        encode_sums(force_sum),
         rate_integral,
     )
 

@@ -84,8 +84,10 @@ class FramePacker:
 
     Attributes
     ----------
+    poses
+        Poses that wait, oldest first.
     waiting
-        Number of waiting messages.
+        Number of waiting messages, including poses.
     refused
         Number of messages dropped because a queue was full, including FAST_TELEMETRY.
     replaced
@@ -114,16 +116,11 @@ class FramePacker:
         self._capacity = [capacity[priority] for priority in Priority]
         self._frame_bytes = frame_bytes
         self.waiting = 0
-        self._poses: deque[bytes] = deque()
+        self.poses: deque[bytes] = deque()
         self._queues: list[deque[bytes]] = [deque() for _ in Priority]
         self._bytes = [0 for _ in Priority]
         self._pieces: list[deque[bytes]] = [deque() for _ in Priority]  # of the first message of each queue
         self._split_count = 0
-
-    @property
-    def pose_waits(self) -> bool:
-        """Whether a pose is waiting."""
-        return bool(self._poses)
 
     def offer(self, message: bytes) -> bool:
         """Queue the message; return False if it was dropped and counted."""
@@ -150,7 +147,7 @@ class FramePacker:
 
     def _offer_pose(self, message: bytes) -> None:
         """Queue a pose; drop the oldest of its sender, or of all senders, if too many wait."""
-        poses = self._poses
+        poses = self.poses
         poses.append(message)
         self.waiting += 1
         if len(poses) == 1:
@@ -172,7 +169,7 @@ class FramePacker:
             return None
         parts: list[bytes] = []
         room = self._frame_bytes
-        poses = self._poses
+        poses = self.poses
         while poses and len(poses[0]) <= room:
             message = poses.popleft()
             room -= len(message)

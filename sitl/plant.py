@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from array import array
-from collections import deque
 from collections.abc import Mapping, Sequence
 from functools import lru_cache, partial
+from operator import itemgetter
+from struct import Struct
 from typing import Any, Protocol
 
 from trimtab.host.codegen import CompiledEngine, function_engine, sx_function
@@ -19,6 +20,13 @@ from trimtab.sitl.vectors import rotation
 
 _SAG_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight in a world with battery-sag
 _NOISE_BLOCK = 1024
+_COMMANDS_MAX = 4096  # numbers that are kept before all but the latest are dropped
+_write_eight = Struct("8d").pack_into
+_ENGINE_INPUTS = (
+    *(block for block in INPUTS if block.name != "command"),
+    Block("commands", 8),  # of the four motors in the tick after their delay, then of the tick before it
+    Block("delay_parts", 4),  # place of each motor's delay between the two ticks
+)
 _DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # relative spread of the motor controllers' delays
 _LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 
@@ -47,9 +55,10 @@ class Plant:
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
         self._engine = plant_engine(PARTS.intersection(world.effects))
+        self._run = self._engine.run
         inputs: Any = self._engine.inputs
         outputs: Any = self._engine.outputs
-        self._state, self._command, self._noise = inputs["state"], inputs["command"], inputs["noise"]
+        self._state, self._commands, self._noise = inputs["state"], inputs["commands"], inputs["noise"]
         self.state = outputs["state"]
         self.pose = outputs["pose"]
         self.sensed = outputs["sensed"]
@@ -65,14 +74,14 @@ class Plant:
         self._com_frd = values["com_frd"]
         self._line_m = values["payload"][1]
         delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
-        self._delayed = max(delays) > 0.0
-        # `_sent`: past commands, newest tick first and within it the last motor first. `_delays`: for each
-        # motor, the two indices in `_sent` around its delay, and the fraction of a tick between them.
-        self._sent: deque[float] = deque(maxlen=4 * (int(max(delays)) + 2))
-        self._delays = [
-            (i, 4 * int(ticks) + 3 - i, 4 * int(ticks) + 7 - i, ticks - int(ticks))
-            for i, ticks in enumerate(delays)
-        ]
+        ticks = [int(delay) for delay in delays]
+        inputs["delay_parts"][:] = pack(
+            (_ENGINE_INPUTS[-1],), {"delay_parts": [d - t for d, t in zip(delays, ticks, strict=True)]}
+        )
+        self._sent_size = 4 * (max(ticks) + 2)
+        self._sent: list[float] = []  # the commands of past ticks, the latest last
+        latest = [-4 * (t + 1) + i for i, t in enumerate(ticks)]
+        self._delayed = itemgetter(*latest, *(at - 4 for at in latest))
         self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
         self._block = memoryview(b"")
         self._at = self._end = 0
@@ -103,30 +112,25 @@ class Plant:
         }
         self.state[:] = pack(STATE, state)
         self._at = self._end = 0
-        self._sent.extend([0.0] * (self._sent.maxlen or 0))
+        self._sent = [0.0] * self._sent_size
         self.pose[:] = memoryview(array("d", [*p_ned, 0.0, 0.0, 0.0, *q_ned_frd]))
         self.sensed[:] = memoryview(array("d", [0.0, 0.0, 0.0, 0.0, 0.0, -GRAVITY_M_S2, self._full_v]))
 
     def step(self, motor_command: Sequence[float]) -> None:
         """Advance by one millisecond with constant motor commands in 0..1."""
-        at = self._at
-        if at == self._end and not self._calm:
-            self._draw_noise()
-            at = 0
-        command = self._command
-        if self._delayed:
-            sent = self._sent
-            sent.extendleft(motor_command)
-            for i, later, earlier, part in self._delays:
-                new = sent[later]
-                command[i] = new + part * (sent[earlier] - new)
-        else:
-            command[0], command[1], command[2], command[3] = motor_command
+        sent, delayed, run = self._sent, self._delayed, self._run  # a local is called faster than a field
+        sent += motor_command
+        if len(sent) > _COMMANDS_MAX:
+            del sent[: -self._sent_size]
+        _write_eight(self._commands, 0, *delayed(sent))
         if not self._calm:
+            if self._at == self._end:
+                self._draw_noise()
+            at = self._at
             self._at = after = at + 6
             self._noise[:] = self._block[at:after]
         self._state[:] = self.state
-        self._engine()
+        run()
 
     def _hanging(self, p_ned: Sequence[float]) -> list[float]:
         """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
@@ -137,20 +141,30 @@ class Plant:
 
     def _draw_noise(self) -> None:
         self._block = self._rng.standard_normal(6 * _NOISE_BLOCK).data
-        self._end = 6 * _NOISE_BLOCK
+        self._at, self._end = 0, 6 * _NOISE_BLOCK
 
 
 @lru_cache(maxsize=32)
 def _traced(parts: frozenset[str]) -> Any:
-    return sx_function(partial(tick, parts=parts), INPUTS, OUTPUTS, "plant")
+    return sx_function(partial(_delayed_tick, parts=parts), _ENGINE_INPUTS, OUTPUTS, "plant")
+
+
+def _delayed_tick(ops: Any, inputs: Mapping[str, Any], parts: frozenset[str]) -> dict[str, list[Any]]:
+    """Return a tick under the commands that arrive at the motors, interpolated between two ticks."""
+    later, earlier = inputs["commands"][:4], inputs["commands"][4:]
+    between = zip(later, earlier, inputs["delay_parts"], strict=True)
+    command = [new + part * (old - new) for new, old, part in between]
+    return tick(ops, {**inputs, "command": command}, parts)
 
 
 def plant_engine(parts: frozenset[str] = PARTS) -> CompiledEngine:
     """Return an engine for the tick with these parts of `plant_model.PARTS`, with its own memory.
 
+    Instead of the block `command` it has `commands` and `delay_parts`.
+
     `trimtab.host.codegen` decides whether it is compiled.
     """
-    return function_engine(_traced(parts), INPUTS, OUTPUTS)
+    return function_engine(_traced(parts), _ENGINE_INPUTS, OUTPUTS)
 
 
 def pack(layout: Sequence[Block], values: Mapping[str, Sequence[float]]) -> memoryview:

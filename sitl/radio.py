@@ -6,9 +6,10 @@ were found. The channel does not look into frames.
 
 from __future__ import annotations
 
-import heapq
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
+from heapq import heappop, heappush
+from itertools import chain
 from typing import Protocol
 
 import numpy as np
@@ -25,6 +26,8 @@ _FLIPS_MAX = 6
 class Radio(Protocol):
     """Interface of a radio to the channel."""
 
+    @property
+    def has_frame(self) -> bool: ...
     @property
     def pose_waits(self) -> bool: ...
     def air_send(self, now_us: int) -> bytes | None: ...
@@ -86,7 +89,7 @@ class _Direction:
         self.draw = _uniforms(rng).__next__
         self.loss = BurstLoss(settings.loss, settings.burst_frames, settings.short_risk, self.draw)
         self.counts = DirectionCounts()
-        self.may_have = True  # whether the source may have a frame; False after it had none, until `wake`
+        self.may_have = True  # whether the source may have a frame; False once it has none, until `wake`
 
 
 class RadioChannel:
@@ -112,7 +115,10 @@ class RadioChannel:
         up_rng: np.random.Generator,
         down_rng: np.random.Generator,
     ) -> None:
-        self._settings = settings
+        self._slot_length_us = settings.slot_us
+        self._corrupt, self._duplicate = settings.corrupt, settings.duplicate
+        self._bit_rate = settings.bit_rate
+        self._latency_us, self._jitter_us = settings.latency_us, settings.jitter_us
         self._up = _Direction(ground, vehicle, settings, up_rng)
         self._down = _Direction(vehicle, ground, settings, down_rng)
         self._turn, self._other = self._up, self._down
@@ -147,10 +153,10 @@ class RadioChannel:
         """Deliver the frames that are due, and assign a slot that is due."""
         air = self._air
         while air and air[0][0] <= now_us:
-            _, _, direction, frame = heapq.heappop(air)
+            _, _, direction, frame = heappop(air)
             direction.counts.delivered += 1
             direction.target.air_receive(frame, now_us)
-        if now_us >= self._slot_us:
+        if now_us >= self._slot_us and (self._turn.may_have or self._other.may_have):
             self._give_slot(now_us)
         due_us = NEVER_US
         if self._turn.may_have or self._other.may_have:
@@ -164,7 +170,8 @@ class RadioChannel:
         keeps its turn. Two consecutive slots are never assigned out of turn, so the other radio gets at least
         every third slot.
         """
-        ahead = not self._ahead and self._other.source.pose_waits
+        follows = self._ahead and now_us <= self._slot_us
+        ahead = not follows and self._other.source.pose_waits
         self._ahead = ahead
         for direction in (self._other, self._turn) if ahead else (self._turn, self._other):
             if not direction.may_have:
@@ -173,38 +180,39 @@ class RadioChannel:
             if frame is None:
                 direction.may_have = False
                 continue
-            self._slot_us = now_us + self._settings.slot_us
+            self._slot_us = now_us + self._slot_length_us
             if direction is self._turn:
                 self._turn, self._other = self._other, direction
+            direction.may_have = direction.source.has_frame
             self._transmit(direction, frame, now_us)
             return
 
     def _transmit(self, direction: _Direction, frame: bytes, now_us: int) -> None:
-        settings, counts, draw = self._settings, direction.counts, direction.draw
+        counts, draw, size = direction.counts, direction.draw, len(frame)
         counts.sent += 1
         if self.watch is not None:
             self.watch(now_us, frame)
-        lost = direction.loss.lost(len(frame))
+        lost = direction.loss.lost(size)
         if self._cuts_us and any(start <= now_us < end for start, end in self._cuts_us):
             counts.cut += 1
             return
         if lost:
             counts.lost += 1
             return
-        if draw() < settings.corrupt * len(frame) / FRAME_BYTES:
+        if draw() < self._corrupt * size / FRAME_BYTES:
             counts.corrupted += 1
             frame = _flip(frame, draw)
         copies = 1
-        if draw() < settings.duplicate:
+        if draw() < self._duplicate:
             counts.duplicated += 1
             copies = 2
-        rate = settings.bit_rate
-        duration_us = settings.slot_us if rate is None else air_us(len(frame), rate)
-        arrival_us = now_us + duration_us + settings.latency_us
+        rate = self._bit_rate
+        duration_us = self._slot_length_us if rate is None else air_us(size, rate)
+        arrival_us = now_us + duration_us + self._latency_us
         for _ in range(copies):
             self._serial += 1
-            late_us = int(draw() * settings.jitter_us)
-            heapq.heappush(self._air, (arrival_us + late_us, self._serial, direction, frame))
+            late_us = int(draw() * self._jitter_us)
+            heappush(self._air, (arrival_us + late_us, self._serial, direction, frame))
 
 
 def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
@@ -217,5 +225,6 @@ def _flip(frame: bytes, draw: Callable[[], float]) -> bytes:
 
 
 def _uniforms(rng: np.random.Generator) -> Iterator[float]:
-    while True:
-        yield from rng.random(_BLOCK).tolist()
+    """Return uniform numbers in 0..1 without end, drawn in blocks."""
+    blocks: Iterator[list[float]] = iter(lambda: rng.random(_BLOCK).tolist(), None)
+    return chain.from_iterable(blocks)

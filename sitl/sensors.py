@@ -6,6 +6,7 @@ import math
 import struct
 from collections import deque
 from collections.abc import Iterator, Sequence
+from itertools import chain
 from typing import NamedTuple
 
 import numpy as np
@@ -45,13 +46,16 @@ class Imu:
         self.bias = bias * rng.standard_normal(7)
 
     def errors(self) -> Iterator[tuple[float, ...]]:
-        """Yield the errors of each tick without end: gyro 3, specific force 3, voltage 1.
+        """Return the errors of each tick without end: gyro 3, specific force 3, voltage 1.
 
         They are drawn in blocks, and each block is used from its last row.
         """
+        return chain.from_iterable(self._blocks())
+
+    def _blocks(self) -> Iterator[Iterator[tuple[float, ...]]]:
         while True:
             block = self._rng.standard_normal((_BLOCK, 7)) * self._noise + self.bias
-            yield from _SEVEN.iter_unpack(block[::-1].tobytes())
+            yield _SEVEN.iter_unpack(block[::-1].tobytes())
 
 
 class Pose(NamedTuple):
@@ -135,14 +139,17 @@ class Mocap:
 
     def _expose(self, dt_s: float, pose: Sequence[float], rate_frd: Sequence[float]) -> None:
         noise = self._row
-        if noise[7] < self._settings.dropout or any(a <= self._stamp_us < b for a, b in self._gaps_us):
+        if noise[7] < self._settings.dropout:
+            return
+        if self._gaps_us and any(a <= self._stamp_us < b for a, b in self._gaps_us):
             return
         x, y, z, vx, vy, vz, *q = pose
         p = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
         if self._tilt != (0.0, 0.0):
             p, q = _tilted(p, q, self._tilt)
         p = (p[0] + noise[0], p[1] + noise[1], p[2] + noise[2])
-        turn = [dt_s * w + e for w, e in zip(rate_frd, noise[3:6], strict=True)]
+        roll, pitch, yaw = rate_frd
+        turn = (dt_s * roll + noise[3], dt_s * pitch + noise[4], dt_s * yaw + noise[5])
         arrival = self._stamp_us + self._settings.delay_us + int(noise[8] * self._settings.delay_jitter_us)
         if self._in_transit:
             arrival = max(arrival, self._in_transit[-1].arrival_us)
@@ -160,7 +167,7 @@ class Mocap:
 def _turned(q: Sequence[float], turn: Sequence[float]) -> tuple[float, float, float, float]:
     """Return the unit quaternion q, w first, followed by a small rotation vector in the body."""
     w, x, y, z = q
-    a, b, c = (0.5 * angle for angle in turn)
+    a, b, c = 0.5 * turn[0], 0.5 * turn[1], 0.5 * turn[2]
     scale = 1.0 / math.sqrt(1.0 + a * a + b * b + c * c)
     return (
         scale * (w - x * a - y * b - z * c),

@@ -92,8 +92,8 @@ class TickTimes:
         if last <= first:
             return
         work = self._work[first:last]
-        self._longest_us = max(self._longest_us, float(work.max()))
-        self._sum_us += float(work.sum())
+        self._longest_us = max(self._longest_us, float(np.maximum.reduce(work)))
+        self._sum_us += float(np.add.reduce(work))
         self._count += int(np.count_nonzero(work))
-        self._furthest_us = max(self._furthest_us, float(self._late[first:last].max()))
+        self._furthest_us = max(self._furthest_us, float(np.maximum.reduce(self._late[first:last])))
         self._read_us = until_us

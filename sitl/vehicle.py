@@ -8,17 +8,20 @@ from __future__ import annotations
 
 import dataclasses
 from collections.abc import Callable, Mapping
-from functools import lru_cache
+from functools import lru_cache, partial
+from operator import add
 from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
+from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
 from trimtab.firmware_model.storage.store import ReferenceStore
 from trimtab.host.codegen import function_engine, sx_function
+from trimtab.host.codegen.all_at_once import ALL_AT_ONCE
 from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
@@ -134,7 +137,7 @@ class SimulatedVehicle:
 
         Runs at least one tick if `t_us` lies ahead. Raises ForeignPlantError if a foreign plant fails.
         """
-        step, devices, command = self._step, self._devices, self._command
+        step, devices, command = self._step, self._tick_devices, self._command
         port, camera = self._host_port, self._camera
         now_us = self.now_us - self._booted_us
         t_us -= self._booted_us
@@ -259,6 +262,7 @@ class SimulatedVehicle:
             vehicle_id=setting.vehicle.id_bytes,
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
+            check=partial(check_blob, evaluator=ALL_AT_ONCE),
         )
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick
@@ -280,9 +284,10 @@ class SimulatedVehicle:
             up_rng=flight_generator(seed, flight, Purpose.RADIO_UP),
             down_rng=flight_generator(seed, flight, Purpose.RADIO_DOWN),
         )
+        self._tick_devices = self._devices()
         if self._timers is not None:
             self.start_profile()
-        self._devices(0)
+        self._tick_devices(0)
 
     def _build_plant(self, flight: int) -> Plant | ForeignPlant:
         setting = self._setting
@@ -291,26 +296,30 @@ class SimulatedVehicle:
         seed = int(flight_generator(setting.world.seed, flight, Purpose.FOREIGN_PLANT).integers(2**62))
         return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
 
-    def _devices(self, now_us: int) -> None:
-        """Tick all devices except the plant: camera, radios, then the flight processor."""
-        camera = self._camera
-        if now_us >= camera.due_us:
-            camera.tick(now_us, self._pose, self._sensed[0:3])
-        if not self._wired:
-            channel, ground, air = self._channel, self._ground_radio, self._air_radio
-            if now_us >= channel.due_us:
-                channel.tick(now_us)
-            # `due_us` of the radios, inlined for speed.
-            if (now_us >= ground.radio_due_us or now_us >= ground.uart.due_us) and ground.tick(now_us):
-                channel.wake(now_us, ground=True)
-            if (now_us >= air.radio_due_us or now_us >= air.uart.due_us) and air.tick(now_us):
-                channel.wake(now_us, ground=False)
-        p, q, r, x, y, z, volts = self._sensed
-        dp, dq, dr, dx, dy, dz, dv = next(self._imu_errors)
-        timing = self._timing
-        if now_us >= timing.due_us and timing.missed(now_us):
-            return  # still busy with an earlier tick; the motor command stays the same
-        self._flight_tick(now_us, (p + dp, q + dq, r + dr), (x + dx, y + dy, z + dz), volts + dv)
+    def _devices(self) -> Callable[[int], None]:
+        """Return the function that ticks all devices except the plant: camera, radios, flight processor."""
+        camera, channel, ground, air = self._camera, self._channel, self._ground_radio, self._air_radio
+        ground_uart, air_uart = ground.uart, air.uart
+        wired, pose, sensed = self._wired, self._pose, self._sensed
+        next_errors, timing, flight_tick = self._imu_errors.__next__, self._timing, self._flight_tick
+
+        def tick(now_us: int) -> None:
+            if now_us >= camera.due_us:
+                camera.tick(now_us, pose, sensed[0:3])
+            if not wired:
+                if now_us >= channel.due_us:
+                    channel.tick(now_us)
+                # `due_us` of the radios, inlined for speed.
+                if (now_us >= ground.radio_due_us or now_us >= ground_uart.due_us) and ground.tick(now_us):
+                    channel.wake(now_us, ground=True)
+                if (now_us >= air.radio_due_us or now_us >= air_uart.due_us) and air.tick(now_us):
+                    channel.wake(now_us, ground=False)
+            p, q, r, x, y, z, volts = map(add, sensed, next_errors())
+            if now_us >= timing.due_us and timing.missed(now_us):
+                return  # still busy with an earlier tick; the motor command stays the same
+            flight_tick(now_us, (p, q, r), (x, y, z), volts)
+
+        return tick
 
     # Profiling.
 
@@ -326,6 +335,7 @@ class SimulatedVehicle:
             (self._air_radio, "vehicle radio"),
         ):
             device.tick = _timed(type(device).tick.__get__(device), part, timers)
+        self._tick_devices = self._devices()
 
     def profile(self) -> dict[str, float]:
         """Return the seconds spent in each part since `start_profile`; empty without it."""

@@ -28,6 +28,20 @@ _DESCENT_GAIN = 0.02  # likewise in a level descent: 0.5 s
 TOUCH_US = 200_000
 """Time for which a sign of touchdown must last."""
 
+_EVENTS = (
+    Event.TILTED,
+    Event.IMU_STUCK,
+    Event.MOCAP_LOST,
+    Event.MOCAP_LATE,
+    Event.FENCE_LEFT,
+    Event.SATURATED,
+    Event.BATTERY_LOW,
+    Event.LOOP_OVERRUN,
+    Event.LINK_LOST,
+    Event.SETPOINTS_LOST,
+)
+_TIMED = tuple(row for row in CONDITIONS if row.timeout is not None)
+assert tuple(row.event for row in _TIMED) == _EVENTS, "the times are given in this order"
 
 Box = tuple[tuple[float, float], tuple[float, float], tuple[float, float]]
 """(low, high) of north, east and down, m."""
@@ -44,7 +58,8 @@ def fence(parameters: Mapping[str, float], margin_m: float = 0.0) -> Box:
 
 def within(p: Sequence[float], box: Box) -> bool:
     """Return whether a position lies in the box."""
-    return all(low <= x <= high for x, (low, high) in zip(p, box, strict=True))
+    (south, north), (west, east), (top, bottom) = box
+    return south <= p[0] <= north and west <= p[1] <= east and top <= p[2] <= bottom
 
 
 class Observation(NamedTuple):
@@ -99,18 +114,15 @@ class ConditionMonitor:
         self._imu_us = 0  # the IMU sample changed
         self._imu: tuple[float, ...] = ()
         self._update_us = 0
-        self._ticks = (0, 0)
+        self._flight_ticks = self._saturated_ticks = 0
         self._late_ticks_us: deque[int] = deque()
         self.configure(parameters)
 
     def configure(self, parameters: ParameterValues) -> None:
         """Read times and bounds from the parameters."""
-        self._timeouts = tuple(
-            (row, parameters.us(row.timeout) if row.lasting else 0)
-            for row in CONDITIONS
-            if row.timeout is not None
-            and not (row.event is Event.IMU_STUCK and parameters["FS_IMU_S"] == 0.0)
-        )
+        self._timeouts_us = [parameters.us(str(row.timeout)) if row.lasting else 0 for row in _TIMED]
+        if parameters["FS_IMU_S"] == 0.0:
+            self._timeouts_us[_EVENTS.index(Event.IMU_STUCK)] = NEVER_US
         self._cos_tilt = math.cos(math.radians(parameters["FS_TILT_DEG"]))
         self.pose_lost_us = parameters.us("FS_MOCAP_S")
         self._age_us = parameters.us("FS_AGE_S")
@@ -138,9 +150,9 @@ class ConditionMonitor:
             self._recent_us = now_us
         if within(observation.p, self._fence):
             self._inside_us = now_us
-        counts = (observation.flight_ticks, observation.saturated_ticks)
-        ticks, saturated = (b - a for a, b in zip(self._ticks, counts, strict=True))
-        self._ticks = counts
+        ticks = observation.flight_ticks - self._flight_ticks
+        saturated = observation.saturated_ticks - self._saturated_ticks
+        self._flight_ticks, self._saturated_ticks = observation.flight_ticks, observation.saturated_ticks
         if saturated < _SATURATED_SHARE * ticks or not ticks:
             self._unsaturated_us = now_us
         if observation.imu != self._imu:
@@ -159,19 +171,20 @@ class ConditionMonitor:
         """Return the conditions active at the last update, in the order of the table."""
         late, now_us = self._late_ticks_us, self._update_us
         overrun = len(late) == late.maxlen and now_us - late[0] <= self._late_window_us
-        since = {
-            Event.TILTED: self._level_us,
-            Event.IMU_STUCK: self._imu_us,
-            Event.MOCAP_LOST: self.pose_us,
-            Event.MOCAP_LATE: self._recent_us,
-            Event.FENCE_LEFT: self._inside_us,
-            Event.SATURATED: self._unsaturated_us,
-            Event.BATTERY_LOW: self._charged_us,
-            Event.LOOP_OVERRUN: late[0] if overrun else now_us,
-            Event.LINK_LOST: self.host_us,
-            Event.SETPOINTS_LOST: self.setpoint_us,
-        }
-        return [row for row, timeout_us in self._timeouts if now_us - since[row.event] > timeout_us]
+        since_us = (  # in the order of _EVENTS
+            self._level_us,
+            self._imu_us,
+            self.pose_us,
+            self._recent_us,
+            self._inside_us,
+            self._unsaturated_us,
+            self._charged_us,
+            late[0] if overrun else now_us,
+            self.host_us,
+            self.setpoint_us,
+        )
+        lasting = zip(_TIMED, since_us, self._timeouts_us, strict=True)
+        return [row for row, start_us, timeout_us in lasting if now_us - start_us > timeout_us]
 
     def update_touchdown(self, now_us: int, *, height: float, speed: float, reference_below: bool) -> bool:
         """Update the detection of touchdown by height (m) and speed (m/s); return whether it has happened.

@@ -22,7 +22,7 @@ class Block(Protocol):
 
 
 class Engine(Protocol):
-    """A step function with fixed memory: write `inputs`, call, read `outputs`.
+    """A step function with fixed memory: write `inputs`, call `run`, read `outputs`.
 
     Each value is a writable memoryview of format "d" that stays the same for the lifetime of the engine.
     """
@@ -33,7 +33,8 @@ class Engine(Protocol):
     @property
     def outputs(self) -> Mapping[str, memoryview]: ...
 
-    def __call__(self) -> None: ...
+    @property
+    def run(self) -> Callable[[], None]: ...
 
 
 def doubles(blocks: Mapping[str, memoryview]) -> Mapping[str, memoryview[float]]:
@@ -66,7 +67,7 @@ class FloatEngine:
         self.inputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in inputs}
         self.outputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in outputs}
 
-    def __call__(self) -> None:
+    def run(self) -> None:
         """Compute one step from the input blocks into the output blocks.
 
         Raises ValueError if blocks or sizes of the result differ from `outputs`.

@@ -15,7 +15,7 @@ STILL = 1e-3
 """Speed (m/s) and body rate (rad/s) below which two identical poses in succession are plausible."""
 CLASH_M = 0.05
 """Distance from the estimate above which a rejected pose may come from another source."""
-_KNOWN = slice(law.EST_P.start, law.EST_Q.stop)
+_POSITION_AND_VELOCITY = slice(law.EST_P.start, law.EST_V.stop)
 
 
 class Estimate:
@@ -101,19 +101,19 @@ class Estimate:
         return math.hypot(*self._memory[law.EST_V]) > STILL or self._rate() > STILL
 
     def _rate(self) -> float:
-        bias = self._memory[law.EST_BIAS]
-        return math.hypot(*(g - b for g, b in zip(self._gyro, bias, strict=True)))
+        (x, y, z), (bias_x, bias_y, bias_z) = self._gyro, self._memory[law.EST_BIAS]
+        return math.hypot(x - bias_x, y - bias_y, z - bias_z)
 
     def _distance(self, time_us: int, p: Sequence[float], now_us: int) -> float:
         """Return the distance (m) of a pose from the estimate at its time; NaN if it is not finite."""
-        px, py, pz, vx, vy, vz = self._memory[_KNOWN][:6]
+        px, py, pz, vx, vy, vz = self._memory[_POSITION_AND_VELOCITY]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
         x, y, z = p
         return math.hypot(x - px + vx * age_s, y - py + vy * age_s, z - pz + vz * age_s)
 
     def _is_outlier(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
         """Return whether the pose is not finite or far from the estimate at its time."""
-        qw, qx, qy, qz = self._memory[_KNOWN][6:]
+        qw, qx, qy, qz = self._memory[law.EST_Q]
         age_s = 1e-6 * (now_us - time_us) + self._feedforward[PREDICTION_TIME]
         values = self._parameters
         jump_m = values["EST_JUMP_M"] + values["EST_JUMP_SPEED"] * 1e-6 * (time_us - self.poses.newest_us)

@@ -93,7 +93,7 @@ class Flight:
         self.flight_ticks = 0
         self.monitor = ConditionMonitor(parameters)
 
-        self._engine = engine
+        self._engine, self._run_law = engine, engine.run
         inputs, self.outputs = doubles(engine.inputs), doubles(engine.outputs)
         self._memory = inputs["memory"]
         self._memory_out = self.outputs["memory"]
@@ -226,7 +226,7 @@ class Flight:
 
     def tick(self, now_us: int, gyro: Sequence[float], force: Sequence[float]) -> None:
         """Run the engine once on these samples (FRD); its outputs hold the commands."""
-        player = self._player
+        player, run_law = self._player, self._run_law
         if now_us >= player.switch_us and player.switch(now_us):
             self._track_ended(now_us)
         has_pose = False
@@ -238,7 +238,7 @@ class Flight:
         view[0], view[1], view[2] = force
         player.piece[0] = (now_us - player.piece_us) * 1e-6
         player.yaw[0] = (now_us - player.yaw_us) * 1e-6
-        self._engine()
+        run_law()
         self._memory[:] = self._memory_out
         if has_pose:
             self.poses.hide()

@@ -63,7 +63,8 @@ class PoseInput:
         ):
             return False
         self.newest_us = time_us
-        self.waiting.append((time_us, tuple(p), tuple(x / length for x in q)))
+        w, x, y, z = q
+        self.waiting.append((time_us, tuple(p), (w / length, x / length, y / length, z / length)))
         return True
 
     def take(self) -> tuple[Pose, int | None]:

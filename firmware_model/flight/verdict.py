@@ -6,7 +6,7 @@ from dataclasses import replace
 from enum import IntEnum
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.law.checks import check_reference
+from trimtab.firmware_model.law.checks import ONE_BY_ONE, Evaluator, check_reference
 from trimtab.firmware_model.law.feedforward import full_block
 from trimtab.firmware_model.law.feedforward_range import out_of_range
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason
@@ -32,11 +32,18 @@ BATTERY_LOW_CELL_V = 0.1
 
 
 def check_blob(
-    kind: int, data: bytes, *, parameters: ParameterValues, vehicle_id: str, battery_v: float = 0.0
+    kind: int,
+    data: bytes,
+    *,
+    parameters: ParameterValues,
+    vehicle_id: str,
+    battery_v: float = 0.0,
+    evaluator: Evaluator = ONE_BY_ONE,
 ) -> Verdict:
     """Return the verdict on a blob. Never raises.
 
     battery_v: last measured voltage; 0 without a measurement, which skips the check of the battery.
+    evaluator: computes the samples of a reference; a simulator has a faster one with the same bits.
     """
     try:
         blob = from_bytes(data)
@@ -48,7 +55,9 @@ def check_blob(
     if blob.vehicle_id != vehicle_id:
         return _refused(Reason.OTHER_VEHICLE, f"made for vehicle {blob.vehicle_id}, this is {vehicle_id}")
     if isinstance(blob, Reference):
-        return battery_verdict(parameters, battery_v) or _check_reference(blob, parameters, battery_v)
+        return battery_verdict(parameters, battery_v) or _check_reference(
+            blob, parameters, battery_v, evaluator
+        )
     return _check_feedforward(blob)
 
 
@@ -64,7 +73,9 @@ def battery_verdict(parameters: ParameterValues, battery_v: float) -> Verdict | 
     return _refused(ReferenceReason.BATTERY, text, battery_v, bound)
 
 
-def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: float) -> Verdict:
+def _check_reference(
+    blob: Reference, parameters: ParameterValues, battery_v: float, evaluator: Evaluator
+) -> Verdict:
     limits = parameters.limits
     low, high = limits.thrust_headroom
     available = high
@@ -78,6 +89,7 @@ def _check_reference(blob: Reference, parameters: ParameterValues, battery_v: fl
         replace(limits, thrust_headroom=(low, available)),
         origin=blob.origin_ned,
         ends_at_rest=not blob.free_ends,
+        evaluator=evaluator,
     )
     if result.ok:
         return Verdict(ok=True)

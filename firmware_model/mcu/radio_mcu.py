@@ -80,22 +80,27 @@ class RadioMcu:
         return min(self.uart.due_us, self.radio_due_us)
 
     @property
+    def has_frame(self) -> bool:
+        """Whether a frame waits for transmission."""
+        return self.packer.waiting > 0
+
+    @property
     def pose_waits(self) -> bool:
         """Whether a pose waits for transmission."""
-        return self.packer.pose_waits
+        return bool(self.packer.poses)
 
     def tick(self, now_us: int) -> bool:
         """Move the bytes received since the last tick; return whether a frame waits for transmission."""
         if self._air:
             self._pass_down(now_us)
-        uart, packer = self.uart, self.packer
+        uart = self.uart
         if now_us >= uart.due_us:
             for message in self._splitter.feed(uart.read(now_us)):
-                packer.offer(message)
+                self.packer.offer(message)
         if now_us >= self._stats_us:
             self._report(now_us)
         self.radio_due_us = 0 if self._air else self._stats_us
-        return packer.waiting > 0
+        return self.packer.waiting > 0
 
     def air_send(self, now_us: int) -> bytes | None:
         """Return the next frame (complete messages or a piece of a long one), or None if none waits."""
@@ -118,20 +123,23 @@ class RadioMcu:
             if message is None:
                 return
             frame = message
-        if self._air_bytes + len(frame) > AIR_BYTES:
-            self.air_overruns += len(frame)
+        size = len(frame)
+        if self._air_bytes + size > AIR_BYTES:
+            self.air_overruns += size
             return
         self._air.append(frame)
-        self._air_bytes += len(frame)
+        self._air_bytes += size
         self.radio_due_us = 0
 
     def _pass_down(self, now_us: int) -> None:
         """Send received frames over the serial line. Frames that do not fit wait."""
         air, uart = self._air, self.uart
-        while air and uart.tx_free(now_us) >= len(air[0]):
+        free = uart.tx_free(now_us)
+        while air and free >= len(air[0]):
             frame = air.popleft()
             self._air_bytes -= len(frame)
             uart.write(frame, now_us)
+            free -= len(frame)
 
     def _report(self, now_us: int) -> None:
         """Send RADIO_STATS to the host: over the serial line from the ground radio, else over the air."""

@@ -62,15 +62,15 @@ class UartPort:
         self.due_us = NEVER_US
         self.overruns = 0
         self.refused = 0
-        self.received = 0
-        self.sent = 0
         self._chunk = min(chunk_bytes or max(1, rx_bytes // 2), rx_bytes)
         self._idle_us = idle_us
         self._peer: UartPort | None = None
+        self._peer_baud = 0
         self._busy_until = 0  # end of the last byte written, in units of 1/baud us
-        self._incoming: deque[tuple[int, bytes]] = deque()  # (start in peer units, bytes)
+        self._incoming: deque[tuple[int, int, bytes]] = deque()  # (start and end in peer units, bytes)
         self._taken = 0  # bytes of the first incoming segment that have arrived
         self._buffer = b""
+        self._is_single = False  # whether one write is on the line and nothing else, and it fills no chunk
 
     def write(self, data: bytes, now_us: int) -> bool:
         """Queue all of `data` for transmission; return False if the transmit buffer has no room.
@@ -78,20 +78,16 @@ class UartPort:
         The bytes of an unconnected port take the same time and are lost.
         """
         size = len(data)
-        now = now_us * self.baud
-        start = self._busy_until
-        if start <= now:
-            free, start = self.tx_bytes, now
-        else:
-            free = self.tx_free(now_us)
+        start, free = now_us * self.baud, self.tx_bytes
+        if self._busy_until > start:
+            start, free = self._busy_until, self.tx_free(now_us)
         if size > free:
             self.refused += 1
             return False
         if size:
-            self._busy_until = start + size * _BYTE_UNITS
-            self.sent += size
+            self._busy_until = end = start + size * _BYTE_UNITS
             if self._peer is not None:
-                self._peer._carry(start, bytes(data))
+                self._peer._carry(start, end, data)
         return True
 
     def tx_free(self, now_us: int) -> int:
@@ -101,6 +97,12 @@ class UartPort:
 
     def read(self, now_us: int) -> bytes:
         """Empty the receive buffer and return the bytes that arrived up to `now_us`, oldest first."""
+        if self._is_single and now_us >= self.due_us:
+            data = self._incoming.popleft()[2]
+            self._is_single = False
+            self.due_us = NEVER_US
+            return data
+        self._is_single = False
         self._arrive(now_us)
         data, self._buffer = self._buffer, b""
         if self._incoming:
@@ -109,54 +111,53 @@ class UartPort:
             self.due_us = NEVER_US
         return data
 
-    def _carry(self, start: int, data: bytes) -> None:
-        self._incoming.append((start, data))
-        if len(self._incoming) > _SEGMENTS_MAX and self._peer is not None:
-            self._arrive(start // self._peer.baud)  # no reader: move arrived bytes to the buffer
+    def _carry(self, start: int, end: int, data: bytes) -> None:
+        incoming = self._incoming
+        self._is_single = not incoming and not self._buffer and len(data) < self._chunk
+        incoming.append((start, end, data))
+        if self._is_single:
+            self.due_us = -(-end // self._peer_baud) + self._idle_us
+            return
+        if len(incoming) > _SEGMENTS_MAX:
+            self._arrive(start // self._peer_baud)  # no reader: move arrived bytes to the buffer
         self._plan_due()
 
     def _arrive(self, now_us: int) -> None:
-        peer, incoming = self._peer, self._incoming
-        if peer is None or not incoming:
-            return
-        now = now_us * peer.baud
-        while incoming:
-            start, data = incoming[0]
-            arrived = (now - start) // _BYTE_UNITS
-            if arrived <= self._taken:
-                return
-            fresh = data[self._taken : arrived]
-            count, room = len(fresh), self.rx_bytes - len(self._buffer)
-            self.received += count
-            if count > room:
-                self.overruns += count - room
+        incoming, now = self._incoming, now_us * self._peer_baud
+        while incoming and incoming[0][0] < now:
+            start, end, data = incoming[0]
+            if end <= now:
+                incoming.popleft()
+                fresh, self._taken = data[self._taken :], 0
+            else:
+                arrived = (now - start) // _BYTE_UNITS
+                fresh, self._taken = data[self._taken : arrived], arrived
+            room = self.rx_bytes - len(self._buffer)
+            if len(fresh) > room:
+                self.overruns += len(fresh) - room
                 fresh = fresh[:room]
             self._buffer += fresh
-            if arrived < len(data):
-                self._taken = arrived
+            if end > now:
                 return
-            incoming.popleft()
-            self._taken = 0
 
     def _plan_due(self) -> None:
         """Set `due_us` to the time at which the line becomes idle after this burst, or a chunk is full."""
-        peer = self._peer
-        if self._buffer or peer is None or not self._incoming:
+        if self._buffer or not self._incoming:
             self.due_us = 0 if self._buffer else NEVER_US
             return
-        chunk, idle = self._chunk, self._idle_us * peer.baud
+        chunk, idle = self._chunk, self._idle_us * self._peer_baud
         count = -self._taken
-        end = 0
-        for start, data in self._incoming:
-            if count > 0 and start > end:
+        due = 0
+        for start, end, data in self._incoming:
+            if count > 0 and start > due:
                 break  # the line was idle in between
             size = len(data)
             if count + size >= chunk:
-                end = start + (chunk - count) * _BYTE_UNITS
+                due = start + (chunk - count) * _BYTE_UNITS
                 break
             count += size
-            end = start + size * _BYTE_UNITS + idle
-        self.due_us = -(-end // peer.baud)
+            due = end + idle
+        self.due_us = -(-due // self._peer_baud)
 
 
 def connect(a: UartPort, b: UartPort) -> None:
@@ -166,5 +167,5 @@ def connect(a: UartPort, b: UartPort) -> None:
     """
     if a is b or a._peer is not None or b._peer is not None:
         raise ValueError("both ends must be two different ports that are not connected yet")
-    a._peer = b
-    b._peer = a
+    a._peer, a._peer_baud = b, b.baud
+    b._peer, b._peer_baud = a, a.baud

@@ -91,14 +91,14 @@ def control(flight: Flight, now_us: int) -> Message:
 def estimate(flight: Flight, now_us: int) -> Message:
     """Return FC_ESTIMATE of this tick. Raises ValueError or OverflowError if a value is not finite."""
     memory = flight.outputs["memory"].tolist()
-    bias = memory[law.EST_BIAS]
+    bias, (x, y, z) = memory[law.EST_BIAS], flight.gyro
     pose_us = flight.poses.measured_us
     return estimate_message(
         now_us // TICK_US,
         p_ned=memory[law.EST_P],
         v_ned=memory[law.EST_V],
         q_ned_frd=memory[law.EST_Q],
-        rate_frd=[g - b for g, b in zip(flight.gyro, bias, strict=True)],
+        rate_frd=(x - bias[0], y - bias[1], z - bias[2]),
         mocap_age_us=None if pose_us is None else now_us - pose_us,
         gyro_bias_frd=bias,
     )

@@ -1,4 +1,4 @@
-"""A function of named blocks as an engine: fixed memory in and out, and a call without arguments.
+"""A function of named blocks as an engine: fixed memory in and out, and `run`, a call without arguments.
 
 Compiled C or CasADi's virtual machine evaluates it, both through CasADi's buffer interface and with the same
 bits. `engine` is "auto" (C where a compiler works, else the virtual machine), "vm" or "c"; None reads the
@@ -44,9 +44,10 @@ BlockFunction = Callable[[Any, Mapping[str, Sequence[Any]]], Mapping[str, Sequen
 
 
 class CompiledEngine:
-    """Write `inputs`, call, read `outputs`: memoryviews of doubles by block name, which never move.
+    """Write `inputs`, call `run`, read `outputs`: memoryviews of doubles by block name, which never move.
 
-    kind: "vm" or "c". function: its casadi.Function. It holds addresses, so it must not be copied or pickled.
+    run: evaluates the function at `inputs` into `outputs`. kind: "vm" or "c".
+    function: its casadi.Function. It holds addresses, so it must not be copied or pickled.
     """
 
     def __init__(
@@ -56,16 +57,13 @@ class CompiledEngine:
         self.function = function
         self.inputs: Mapping[str, memoryview] = _memory(inputs)
         self.outputs: Mapping[str, memoryview] = _memory(outputs)
-        # The trigger crashes without the function and its buffer: keep all three.
-        self._buffer, self._trigger = function.buffer()
+        # `run` crashes without the function and its buffer: keep all three.
+        self.run: Callable[[], None]
+        self._buffer, self.run = function.buffer()
         for index, view in enumerate(self.inputs.values()):
             self._buffer.set_arg(index, view)  # pyright: ignore[reportCallIssue]
         for index, view in enumerate(self.outputs.values()):
             self._buffer.set_res(index, view)  # pyright: ignore[reportCallIssue]
-
-    def __call__(self) -> None:
-        """Evaluate the function at `inputs` into `outputs`."""
-        self._trigger()
 
     def __reduce__(self) -> Any:
         raise TypeError("an engine holds addresses of this process and cannot be pickled")

@@ -175,7 +175,7 @@ class Client:
         for verdict, frame in self.codec.refused:
             self.unsigned |= verdict is Verdict.UNSIGNED and frame[5] == _VEHICLE_SYSTEM
         for message in decoded:
-            if message._header.srcSystem == _VEHICLE_SYSTEM:
+            if message.get_msgbuf()[5] == _VEHICLE_SYSTEM:  # the system of its sender
                 self.heard_us = now_us
             elif not isinstance(message, m.RadioStats):
                 self.others.add(message.get_srcSystem())

@@ -98,7 +98,7 @@ class ClockSync:
         self.rtts_us: deque[int] = deque(maxlen=10_000)
         self._up = LeastDelay()
         self._down = LeastDelay()
-        self._recent: deque[tuple[int, int]] = deque(maxlen=100)
+        self._recent: tuple[deque[int], deque[int]] = (deque(maxlen=100), deque(maxlen=100))  # up, down
 
     @property
     def settled(self) -> bool:
@@ -108,11 +108,11 @@ class ClockSync:
     @property
     def sd_us(self) -> float:
         """Standard deviation of the offset, from the spread of the fastest messages in each direction."""
-        if len(self._recent) < 2:
+        if len(self._recent[0]) < 2:
             return 0.5 * self.rtt_us
         spread = 0.0
-        for way in range(2):
-            best = sorted([pair[way] for pair in self._recent])[:_BEST]
+        for way in self._recent:
+            best = sorted(way)[:_BEST]
             mean = sum(best) / len(best)
             spread += sum((value - mean) ** 2 for value in best) / (len(best) - 1)
         return 0.5 * math.sqrt(spread)
@@ -120,9 +120,8 @@ class ClockSync:
     @property
     def uplink_us(self) -> float:
         """Median time from the host's port to the vehicle over the last exchanges; 0 before the first."""
-        if not self._recent:
-            return 0.0
-        return max(0.0, median(up for up, _ in self._recent) - self.offset_us)
+        up, _ = self._recent
+        return max(0.0, median(up) - self.offset_us) if up else 0.0
 
     def answer(self, sent_us: int, vehicle_us: int, now_us: int) -> None:
         """Use an answer: time of request (host), of answer (vehicle clock) and of arrival (host)."""
@@ -142,12 +141,14 @@ class ClockSync:
             self._begin_anew(self._up)
             self._up.add(up, now_us)
         self.offset_us = 0.5 * (self._up.usual - self._down.usual)
-        self._recent.append((up, down))
+        self._recent[0].append(up)
+        self._recent[1].append(down)
 
     def _begin_anew(self, *ways: LeastDelay) -> None:
         """Restart the comparison of these directions after the other clock jumped."""
         self.steps += 1
-        self._recent.clear()
+        for recent in self._recent:
+            recent.clear()
         for way in ways:
             way.clear()
 

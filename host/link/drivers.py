@@ -100,7 +100,9 @@ def run_lockstep(
     with Interrupts() as interrupts:
         handled = 0
         now_us = first_us
-        while not session.done:
+        while True:  # unlike a loop with a condition, CPython specialises this one
+            if session.done:
+                break
             out = step(now_us, vehicle.serial_read(), vehicle.mocap_read())
             if out:
                 vehicle.serial_write(out)

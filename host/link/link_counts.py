@@ -12,14 +12,18 @@ class LinkCounts:
         self._client = client
         self._messages_before = _messages(client)
         self._bytes_before = client.bytes_sent, client.bytes_received
-        self._radios_before = client.radio_counts
+        self._radios_before = self._radios_now = client.radio_counts
+        self._radios: RadioCounts | None = None
 
     def radios(self) -> RadioCounts | None:
         """Return the radios' increments; None until both radios have reported twice."""
-        before, now = self._radios_before, self._client.radio_counts
-        if before is None:
-            before = self._radios_before = now
-        return None if before is None or now is None or now == before else now.since(before)
+        now = self._client.radio_counts
+        if now is not None and now is not self._radios_now:
+            self._radios_now = now
+            if self._radios_before is None:
+                self._radios_before = now
+            self._radios = None if now == self._radios_before else now.since(self._radios_before)
+        return self._radios
 
     def bytes(self) -> tuple[int, int]:
         """Return the bytes sent and received on the port."""

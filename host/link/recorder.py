@@ -41,7 +41,8 @@ class Recorder:
     """Log of one flight. `arm_us` is the host time at which the vehicle acknowledged arming.
 
     `then` is the reference that may take over in flight; None if there is none.
-    `last_status` is the newest FC_STATUS logged; None before the first.
+    `last_status` is the newest FC_STATUS logged; None before the first. `deadline_us` is the time at which
+    `link` is due.
     """
 
     def __init__(
@@ -60,7 +61,7 @@ class Recorder:
         self._clock = client.clock
         self._camera = camera
         self._arm_us = arm_us
-        self._link_us = arm_us
+        self.deadline_us = arm_us
         self._intervals = IntervalDecoder()
         self._estimate_tick = -1
         self._observer: m.FcObserver | None = None
@@ -76,11 +77,6 @@ class Recorder:
             m.FcStatus: self._status,
             m.StatusText: self._text,
         }
-
-    @property
-    def deadline_us(self) -> int:
-        """Time at which `link` is due."""
-        return self._link_us
 
     def receive(self, messages: Sequence[Message], now_us: int) -> None:
         """Log newly received messages."""
@@ -103,9 +99,9 @@ class Recorder:
 
     def link(self, now_us: int) -> None:
         """Log the state of the link if it is due."""
-        if now_us < self._link_us:
+        if now_us < self.deadline_us:
             return
-        self._link_us += LINK_US * (1 + (now_us - self._link_us) // LINK_US)
+        self.deadline_us += LINK_US * (1 + (now_us - self.deadline_us) // LINK_US)
         codec, clock, counts = self._client.codec, self._clock, self._counts
         sent, received, lost = counts.frames()
         radios, (bytes_sent, bytes_received) = counts.radios(), counts.bytes()

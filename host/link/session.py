@@ -15,7 +15,7 @@ from trimtab.host.link.tasks import Task
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import decode_message
 from trimtab.protocol.messages import Message
-from trimtab.protocol.stream import split
+from trimtab.protocol.stream import StreamSplitter
 
 Script = Generator[Task, Any, Any]
 """A generator that yields tasks, receives their results or errors, and returns the session's result."""
@@ -80,6 +80,7 @@ class Session:
         self._script: Script | None = None
         self._task: Task | None = None
         self._steps = 0
+        self._datagrams = StreamSplitter()
 
     @property
     def next_deadline_us(self) -> int:
@@ -96,7 +97,8 @@ class Session:
         """Process received bytes, camera datagrams and the time. Return the bytes to write to the port."""
         self.now_us = now_us
         client = self.client
-        client.set_time(now_us)
+        if client.key is not None:
+            client.set_time(now_us)
         if self._script is None:
             self._script = self._make_script(self)
             self._resume(None)
@@ -185,7 +187,7 @@ class Session:
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
         """Forward the poses in a datagram; drop those whose stamp the camera clock rejects."""
         clock, camera = self.client.clock, self.camera
-        for message in map(decode_message, split(datagram)):
+        for message in map(decode_message, self._datagrams.feed(datagram, last=True)):
             if type(message) is not m.AttPosMocap:
                 continue
             if clock.steps != self._steps:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections import defaultdict
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Protocol
@@ -70,12 +71,10 @@ class McapFile:
         self._size = 0
         self._written = _Written(schemas=[], channels=[], chunks=[], attachments=[], metadata=[])
         self._chunk = bytearray()
-        self._index: dict[int, list[int]] = {}  # alternating times and offsets, by channel
+        self._index: defaultdict[int, list[int]] = defaultdict(list)  # times and offsets in turn, by channel
         self._counts: dict[int, int] = {}
         self._first_us: int | None = None
         self._last_us = 0
-        self._chunk_first_us = 0
-        self._chunk_last_us = 0
         self._compressor = zstandard.ZstdCompressor()
         self._put(MAGIC)
         self._put(_bytes(Header(profile="", library=library)))
@@ -132,22 +131,12 @@ class McapFile:
         self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0
     ) -> None:
         """Add a message to the current chunk. Write the chunk if it is full."""
-        chunk, index = self._chunk, self._index
-        if not index:
-            self._chunk_first_us = self._chunk_last_us = log_time
-        elif log_time > self._chunk_last_us:
-            self._chunk_last_us = log_time
-        elif log_time < self._chunk_first_us:
-            self._chunk_first_us = log_time
-        place = index.get(channel)
-        if place is None:
-            place = index[channel] = []
-        place += (log_time, len(chunk))
+        chunk = self._chunk
+        self._index[channel] += (log_time, len(chunk))
         chunk += _MESSAGE.pack(
             Opcode.MESSAGE, _MESSAGE_HEAD_BYTES + len(data), channel, sequence, log_time, publish_time
         )
         chunk += data
-        self._counts[channel] += 1
         if len(chunk) > CHUNK_BYTES:
             self._end_chunk()
 
@@ -202,7 +191,8 @@ class McapFile:
         """Write the current chunk and begin another."""
         raw = bytes(self._chunk)
         packed = self._compressor.compress(raw)
-        first, last = self._chunk_first_us, self._chunk_last_us
+        times = [time for entries in self._index.values() for time in entries[::2]]
+        first, last = min(times), max(times)
         chunk = _bytes(
             Chunk(
                 compression="zstd",
@@ -215,6 +205,7 @@ class McapFile:
         )
         index, offsets = b"", {}
         for channel, entries in self._index.items():
+            self._counts[channel] += len(entries) // 2
             offsets[channel] = self._size + len(chunk) + len(index)
             size = 8 * len(entries)
             head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD_BYTES + size, channel, size)
@@ -236,7 +227,7 @@ class McapFile:
         self._first_us = first if self._first_us is None else min(first, self._first_us)
         self._last_us = max(last, self._last_us)
         self._chunk = bytearray()
-        self._index = {}
+        self._index.clear()
 
     def _put(self, data: bytes) -> None:
         self._sink.write(data)

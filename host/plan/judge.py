@@ -15,7 +15,7 @@ from trimtab.firmware_model.law.limits import Airframe, from_parameters
 from trimtab.firmware_model.law.limits import Limits as CheckedLimits
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.codegen import NUMPY
-from trimtab.host.plan.all_at_once import ALL_AT_ONCE
+from trimtab.host.codegen.all_at_once import ALL_AT_ONCE
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE, checked
 from trimtab.host.plan.heading import fastest_turn
 from trimtab.host.plan.profile import profile, sample_times

@@ -13,6 +13,7 @@ import struct
 import sys
 import time
 from builtins import object, range
+from functools import cached_property
 from typing import Any, Callable, Dict, Iterable, List, Mapping, Optional, Sequence, Tuple, Type, Union
 
 WIRE_PROTOCOL_VERSION = "2.0"
@@ -159,6 +160,26 @@ class MAVLink_message(object):
     unpacker = struct.Struct("")
     instance_field: Optional[str] = None
     instance_offset = -1
+
+    _link_id = _instances = None
+    _msgbuf: Union[bytes, bytearray] = b""
+    _signed = False
+
+    @cached_property
+    def _header(self) -> MAVLink_header:
+        if not self._msgbuf:
+            return MAVLink_header(type(self).id)
+        length, incompatible, compatible, sequence, system, component = self._msgbuf[1:7]
+        return MAVLink_header(type(self).id, incompatible, compatible, length, sequence, system, component)
+
+    @cached_property
+    def _payload(self) -> Optional[Union[bytes, bytearray]]:
+        return self._msgbuf[10 : 10 + self._msgbuf[1]] if self._msgbuf else None
+
+    @cached_property
+    def _crc(self) -> Optional[int]:
+        end = 10 + self._msgbuf[1] if self._msgbuf else 0
+        return self._msgbuf[end] | self._msgbuf[end + 1] << 8 if end else None
 
     def __init__(self, msgId: int, name: str) -> None:
         self._header = MAVLink_header(msgId)
@@ -1159,12 +1180,10 @@ class MAVLink_heartbeat_message(MAVLink_message):
     unpacker = struct.Struct("<IBBBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, type: int, autopilot: int, base_mode: int, custom_mode: int, system_status: int, mavlink_version: int):
-        MAVLink_message.__init__(self, MAVLink_heartbeat_message.id, MAVLink_heartbeat_message.msgname)
-        self._fieldnames = MAVLink_heartbeat_message.fieldnames
-        self._instance_field = MAVLink_heartbeat_message.instance_field
-        self._instance_offset = MAVLink_heartbeat_message.instance_offset
         self.type = type
         self.autopilot = autopilot
         self.base_mode = base_mode
@@ -1202,12 +1221,10 @@ class MAVLink_sys_status_message(MAVLink_message):
     unpacker = struct.Struct("<IIIHHhHHHHHHbIII")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, onboard_control_sensors_present: int, onboard_control_sensors_enabled: int, onboard_control_sensors_health: int, load: int, voltage_battery: int, current_battery: int, battery_remaining: int, drop_rate_comm: int, errors_comm: int, errors_count1: int, errors_count2: int, errors_count3: int, errors_count4: int, onboard_control_sensors_present_extended: int = 0, onboard_control_sensors_enabled_extended: int = 0, onboard_control_sensors_health_extended: int = 0):
-        MAVLink_message.__init__(self, MAVLink_sys_status_message.id, MAVLink_sys_status_message.msgname)
-        self._fieldnames = MAVLink_sys_status_message.fieldnames
-        self._instance_field = MAVLink_sys_status_message.instance_field
-        self._instance_offset = MAVLink_sys_status_message.instance_offset
         self.onboard_control_sensors_present = onboard_control_sensors_present
         self.onboard_control_sensors_enabled = onboard_control_sensors_enabled
         self.onboard_control_sensors_health = onboard_control_sensors_health
@@ -1255,12 +1272,10 @@ class MAVLink_ping_message(MAVLink_message):
     unpacker = struct.Struct("<QIBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_usec: int, seq: int, target_system: int, target_component: int):
-        MAVLink_message.__init__(self, MAVLink_ping_message.id, MAVLink_ping_message.msgname)
-        self._fieldnames = MAVLink_ping_message.fieldnames
-        self._instance_field = MAVLink_ping_message.instance_field
-        self._instance_offset = MAVLink_ping_message.instance_offset
         self.time_usec = time_usec
         self.seq = seq
         self.target_system = target_system
@@ -1296,12 +1311,10 @@ class MAVLink_param_request_read_message(MAVLink_message):
     unpacker = struct.Struct("<hBB16s")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, param_id: bytes, param_index: int):
-        MAVLink_message.__init__(self, MAVLink_param_request_read_message.id, MAVLink_param_request_read_message.msgname)
-        self._fieldnames = MAVLink_param_request_read_message.fieldnames
-        self._instance_field = MAVLink_param_request_read_message.instance_field
-        self._instance_offset = MAVLink_param_request_read_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self._param_id_raw = param_id
@@ -1338,12 +1351,10 @@ class MAVLink_param_request_list_message(MAVLink_message):
     unpacker = struct.Struct("<BB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int):
-        MAVLink_message.__init__(self, MAVLink_param_request_list_message.id, MAVLink_param_request_list_message.msgname)
-        self._fieldnames = MAVLink_param_request_list_message.fieldnames
-        self._instance_field = MAVLink_param_request_list_message.instance_field
-        self._instance_offset = MAVLink_param_request_list_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
 
@@ -1377,12 +1388,10 @@ class MAVLink_param_value_message(MAVLink_message):
     unpacker = struct.Struct("<fHH16sB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, param_id: bytes, param_value: float, param_type: int, param_count: int, param_index: int):
-        MAVLink_message.__init__(self, MAVLink_param_value_message.id, MAVLink_param_value_message.msgname)
-        self._fieldnames = MAVLink_param_value_message.fieldnames
-        self._instance_field = MAVLink_param_value_message.instance_field
-        self._instance_offset = MAVLink_param_value_message.instance_offset
         self._param_id_raw = param_id
         self.param_id = param_id.split(b"\x00", 1)[0].decode("ascii", errors="replace")
         self.param_value = param_value
@@ -1420,12 +1429,10 @@ class MAVLink_param_set_message(MAVLink_message):
     unpacker = struct.Struct("<fBB16sB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, param_id: bytes, param_value: float, param_type: int):
-        MAVLink_message.__init__(self, MAVLink_param_set_message.id, MAVLink_param_set_message.msgname)
-        self._fieldnames = MAVLink_param_set_message.fieldnames
-        self._instance_field = MAVLink_param_set_message.instance_field
-        self._instance_offset = MAVLink_param_set_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self._param_id_raw = param_id
@@ -1463,12 +1470,10 @@ class MAVLink_attitude_message(MAVLink_message):
     unpacker = struct.Struct("<Iffffff")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, roll: float, pitch: float, yaw: float, rollspeed: float, pitchspeed: float, yawspeed: float):
-        MAVLink_message.__init__(self, MAVLink_attitude_message.id, MAVLink_attitude_message.msgname)
-        self._fieldnames = MAVLink_attitude_message.fieldnames
-        self._instance_field = MAVLink_attitude_message.instance_field
-        self._instance_offset = MAVLink_attitude_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.roll = roll
         self.pitch = pitch
@@ -1507,12 +1512,10 @@ class MAVLink_attitude_quaternion_message(MAVLink_message):
     unpacker = struct.Struct("<Ifffffff4f")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, q1: float, q2: float, q3: float, q4: float, rollspeed: float, pitchspeed: float, yawspeed: float, repr_offset_q: Sequence[float] = (0, 0, 0, 0)):
-        MAVLink_message.__init__(self, MAVLink_attitude_quaternion_message.id, MAVLink_attitude_quaternion_message.msgname)
-        self._fieldnames = MAVLink_attitude_quaternion_message.fieldnames
-        self._instance_field = MAVLink_attitude_quaternion_message.instance_field
-        self._instance_offset = MAVLink_attitude_quaternion_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.q1 = q1
         self.q2 = q2
@@ -1553,12 +1556,10 @@ class MAVLink_local_position_ned_message(MAVLink_message):
     unpacker = struct.Struct("<Iffffff")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, x: float, y: float, z: float, vx: float, vy: float, vz: float):
-        MAVLink_message.__init__(self, MAVLink_local_position_ned_message.id, MAVLink_local_position_ned_message.msgname)
-        self._fieldnames = MAVLink_local_position_ned_message.fieldnames
-        self._instance_field = MAVLink_local_position_ned_message.instance_field
-        self._instance_offset = MAVLink_local_position_ned_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.x = x
         self.y = y
@@ -1598,12 +1599,10 @@ class MAVLink_global_position_int_message(MAVLink_message):
     unpacker = struct.Struct("<IiiiihhhH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, lat: int, lon: int, alt: int, relative_alt: int, vx: int, vy: int, vz: int, hdg: int):
-        MAVLink_message.__init__(self, MAVLink_global_position_int_message.id, MAVLink_global_position_int_message.msgname)
-        self._fieldnames = MAVLink_global_position_int_message.fieldnames
-        self._instance_field = MAVLink_global_position_int_message.instance_field
-        self._instance_offset = MAVLink_global_position_int_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.lat = lat
         self.lon = lon
@@ -1644,12 +1643,10 @@ class MAVLink_mission_request_list_message(MAVLink_message):
     unpacker = struct.Struct("<BBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
-        MAVLink_message.__init__(self, MAVLink_mission_request_list_message.id, MAVLink_mission_request_list_message.msgname)
-        self._fieldnames = MAVLink_mission_request_list_message.fieldnames
-        self._instance_field = MAVLink_mission_request_list_message.instance_field
-        self._instance_offset = MAVLink_mission_request_list_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.mission_type = mission_type
@@ -1684,12 +1681,10 @@ class MAVLink_mission_count_message(MAVLink_message):
     unpacker = struct.Struct("<HBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, count: int, mission_type: int = 0):
-        MAVLink_message.__init__(self, MAVLink_mission_count_message.id, MAVLink_mission_count_message.msgname)
-        self._fieldnames = MAVLink_mission_count_message.fieldnames
-        self._instance_field = MAVLink_mission_count_message.instance_field
-        self._instance_offset = MAVLink_mission_count_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.count = count
@@ -1725,12 +1720,10 @@ class MAVLink_mission_clear_all_message(MAVLink_message):
     unpacker = struct.Struct("<BBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, mission_type: int = 0):
-        MAVLink_message.__init__(self, MAVLink_mission_clear_all_message.id, MAVLink_mission_clear_all_message.msgname)
-        self._fieldnames = MAVLink_mission_clear_all_message.fieldnames
-        self._instance_field = MAVLink_mission_clear_all_message.instance_field
-        self._instance_offset = MAVLink_mission_clear_all_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.mission_type = mission_type
@@ -1765,12 +1758,10 @@ class MAVLink_mission_ack_message(MAVLink_message):
     unpacker = struct.Struct("<BBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, type: int, mission_type: int = 0):
-        MAVLink_message.__init__(self, MAVLink_mission_ack_message.id, MAVLink_mission_ack_message.msgname)
-        self._fieldnames = MAVLink_mission_ack_message.fieldnames
-        self._instance_field = MAVLink_mission_ack_message.instance_field
-        self._instance_offset = MAVLink_mission_ack_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.type = type
@@ -1807,12 +1798,10 @@ class MAVLink_set_gps_global_origin_message(MAVLink_message):
     unpacker = struct.Struct("<iiiBQ")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, latitude: int, longitude: int, altitude: int, time_usec: int = 0):
-        MAVLink_message.__init__(self, MAVLink_set_gps_global_origin_message.id, MAVLink_set_gps_global_origin_message.msgname)
-        self._fieldnames = MAVLink_set_gps_global_origin_message.fieldnames
-        self._instance_field = MAVLink_set_gps_global_origin_message.instance_field
-        self._instance_offset = MAVLink_set_gps_global_origin_message.instance_offset
         self.target_system = target_system
         self.latitude = latitude
         self.longitude = longitude
@@ -1849,12 +1838,10 @@ class MAVLink_gps_global_origin_message(MAVLink_message):
     unpacker = struct.Struct("<iiiQ")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, latitude: int, longitude: int, altitude: int, time_usec: int = 0):
-        MAVLink_message.__init__(self, MAVLink_gps_global_origin_message.id, MAVLink_gps_global_origin_message.msgname)
-        self._fieldnames = MAVLink_gps_global_origin_message.fieldnames
-        self._instance_field = MAVLink_gps_global_origin_message.instance_field
-        self._instance_offset = MAVLink_gps_global_origin_message.instance_offset
         self.latitude = latitude
         self.longitude = longitude
         self.altitude = altitude
@@ -1891,12 +1878,10 @@ class MAVLink_request_data_stream_message(MAVLink_message):
     unpacker = struct.Struct("<HBBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, req_stream_id: int, req_message_rate: int, start_stop: int):
-        MAVLink_message.__init__(self, MAVLink_request_data_stream_message.id, MAVLink_request_data_stream_message.msgname)
-        self._fieldnames = MAVLink_request_data_stream_message.fieldnames
-        self._instance_field = MAVLink_request_data_stream_message.instance_field
-        self._instance_offset = MAVLink_request_data_stream_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.req_stream_id = req_stream_id
@@ -1933,12 +1918,10 @@ class MAVLink_vfr_hud_message(MAVLink_message):
     unpacker = struct.Struct("<ffffhH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, airspeed: float, groundspeed: float, heading: int, throttle: int, alt: float, climb: float):
-        MAVLink_message.__init__(self, MAVLink_vfr_hud_message.id, MAVLink_vfr_hud_message.msgname)
-        self._fieldnames = MAVLink_vfr_hud_message.fieldnames
-        self._instance_field = MAVLink_vfr_hud_message.instance_field
-        self._instance_offset = MAVLink_vfr_hud_message.instance_offset
         self.airspeed = airspeed
         self.groundspeed = groundspeed
         self.heading = heading
@@ -1976,12 +1959,10 @@ class MAVLink_command_int_message(MAVLink_message):
     unpacker = struct.Struct("<ffffiifHBBBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, frame: int, command: int, current: int, autocontinue: int, param1: float, param2: float, param3: float, param4: float, x: int, y: int, z: float):
-        MAVLink_message.__init__(self, MAVLink_command_int_message.id, MAVLink_command_int_message.msgname)
-        self._fieldnames = MAVLink_command_int_message.fieldnames
-        self._instance_field = MAVLink_command_int_message.instance_field
-        self._instance_offset = MAVLink_command_int_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.frame = frame
@@ -2026,12 +2007,10 @@ class MAVLink_command_long_message(MAVLink_message):
     unpacker = struct.Struct("<fffffffHBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, command: int, confirmation: int, param1: float, param2: float, param3: float, param4: float, param5: float, param6: float, param7: float):
-        MAVLink_message.__init__(self, MAVLink_command_long_message.id, MAVLink_command_long_message.msgname)
-        self._fieldnames = MAVLink_command_long_message.fieldnames
-        self._instance_field = MAVLink_command_long_message.instance_field
-        self._instance_offset = MAVLink_command_long_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.command = command
@@ -2074,12 +2053,10 @@ class MAVLink_command_ack_message(MAVLink_message):
     unpacker = struct.Struct("<HBBiBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, command: int, result: int, progress: int = 0, result_param2: int = 0, target_system: int = 0, target_component: int = 0):
-        MAVLink_message.__init__(self, MAVLink_command_ack_message.id, MAVLink_command_ack_message.msgname)
-        self._fieldnames = MAVLink_command_ack_message.fieldnames
-        self._instance_field = MAVLink_command_ack_message.instance_field
-        self._instance_offset = MAVLink_command_ack_message.instance_offset
         self.command = command
         self.result = result
         self.progress = progress
@@ -2117,12 +2094,10 @@ class MAVLink_set_attitude_target_message(MAVLink_message):
     unpacker = struct.Struct("<I4fffffBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, target_system: int, target_component: int, type_mask: int, q: Sequence[float], body_roll_rate: float, body_pitch_rate: float, body_yaw_rate: float, thrust: float):
-        MAVLink_message.__init__(self, MAVLink_set_attitude_target_message.id, MAVLink_set_attitude_target_message.msgname)
-        self._fieldnames = MAVLink_set_attitude_target_message.fieldnames
-        self._instance_field = MAVLink_set_attitude_target_message.instance_field
-        self._instance_offset = MAVLink_set_attitude_target_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.target_system = target_system
         self.target_component = target_component
@@ -2163,12 +2138,10 @@ class MAVLink_set_position_target_local_ned_message(MAVLink_message):
     unpacker = struct.Struct("<IfffffffffffHBBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_boot_ms: int, target_system: int, target_component: int, coordinate_frame: int, type_mask: int, x: float, y: float, z: float, vx: float, vy: float, vz: float, afx: float, afy: float, afz: float, yaw: float, yaw_rate: float):
-        MAVLink_message.__init__(self, MAVLink_set_position_target_local_ned_message.id, MAVLink_set_position_target_local_ned_message.msgname)
-        self._fieldnames = MAVLink_set_position_target_local_ned_message.fieldnames
-        self._instance_field = MAVLink_set_position_target_local_ned_message.instance_field
-        self._instance_offset = MAVLink_set_position_target_local_ned_message.instance_offset
         self.time_boot_ms = time_boot_ms
         self.target_system = target_system
         self.target_component = target_component
@@ -2216,12 +2189,10 @@ class MAVLink_file_transfer_protocol_message(MAVLink_message):
     unpacker = struct.Struct("<BBB251B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_file_transfer_protocol_message.id, MAVLink_file_transfer_protocol_message.msgname)
-        self._fieldnames = MAVLink_file_transfer_protocol_message.fieldnames
-        self._instance_field = MAVLink_file_transfer_protocol_message.instance_field
-        self._instance_offset = MAVLink_file_transfer_protocol_message.instance_offset
         self.target_network = target_network
         self.target_system = target_system
         self.target_component = target_component
@@ -2257,12 +2228,10 @@ class MAVLink_timesync_message(MAVLink_message):
     unpacker = struct.Struct("<qq")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tc1: int, ts1: int):
-        MAVLink_message.__init__(self, MAVLink_timesync_message.id, MAVLink_timesync_message.msgname)
-        self._fieldnames = MAVLink_timesync_message.fieldnames
-        self._instance_field = MAVLink_timesync_message.instance_field
-        self._instance_offset = MAVLink_timesync_message.instance_offset
         self.tc1 = tc1
         self.ts1 = ts1
 
@@ -2296,12 +2265,10 @@ class MAVLink_log_request_list_message(MAVLink_message):
     unpacker = struct.Struct("<HHBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, start: int, end: int):
-        MAVLink_message.__init__(self, MAVLink_log_request_list_message.id, MAVLink_log_request_list_message.msgname)
-        self._fieldnames = MAVLink_log_request_list_message.fieldnames
-        self._instance_field = MAVLink_log_request_list_message.instance_field
-        self._instance_offset = MAVLink_log_request_list_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.start = start
@@ -2338,12 +2305,10 @@ class MAVLink_log_entry_message(MAVLink_message):
     unpacker = struct.Struct("<IIHHH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, id: int, num_logs: int, last_log_num: int, time_utc: int, size: int):
-        MAVLink_message.__init__(self, MAVLink_log_entry_message.id, MAVLink_log_entry_message.msgname)
-        self._fieldnames = MAVLink_log_entry_message.fieldnames
-        self._instance_field = MAVLink_log_entry_message.instance_field
-        self._instance_offset = MAVLink_log_entry_message.instance_offset
         self.id = id
         self.num_logs = num_logs
         self.last_log_num = last_log_num
@@ -2380,12 +2345,10 @@ class MAVLink_serial_control_message(MAVLink_message):
     unpacker = struct.Struct("<IHBBB70BBB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, device: int, flags: int, timeout: int, baudrate: int, count: int, data: Sequence[int], target_system: int = 0, target_component: int = 0):
-        MAVLink_message.__init__(self, MAVLink_serial_control_message.id, MAVLink_serial_control_message.msgname)
-        self._fieldnames = MAVLink_serial_control_message.fieldnames
-        self._instance_field = MAVLink_serial_control_message.instance_field
-        self._instance_offset = MAVLink_serial_control_message.instance_offset
         self.device = device
         self.flags = flags
         self.timeout = timeout
@@ -2425,12 +2388,10 @@ class MAVLink_att_pos_mocap_message(MAVLink_message):
     unpacker = struct.Struct("<Q4ffff21f")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_usec: int, q: Sequence[float], x: float, y: float, z: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)):
-        MAVLink_message.__init__(self, MAVLink_att_pos_mocap_message.id, MAVLink_att_pos_mocap_message.msgname)
-        self._fieldnames = MAVLink_att_pos_mocap_message.fieldnames
-        self._instance_field = MAVLink_att_pos_mocap_message.instance_field
-        self._instance_offset = MAVLink_att_pos_mocap_message.instance_offset
         self.time_usec = time_usec
         self.q = q
         self.x = x
@@ -2468,12 +2429,10 @@ class MAVLink_altitude_message(MAVLink_message):
     unpacker = struct.Struct("<Qffffff")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_usec: int, altitude_monotonic: float, altitude_amsl: float, altitude_local: float, altitude_relative: float, altitude_terrain: float, bottom_clearance: float):
-        MAVLink_message.__init__(self, MAVLink_altitude_message.id, MAVLink_altitude_message.msgname)
-        self._fieldnames = MAVLink_altitude_message.fieldnames
-        self._instance_field = MAVLink_altitude_message.instance_field
-        self._instance_offset = MAVLink_altitude_message.instance_offset
         self.time_usec = time_usec
         self.altitude_monotonic = altitude_monotonic
         self.altitude_amsl = altitude_amsl
@@ -2512,12 +2471,10 @@ class MAVLink_battery_status_message(MAVLink_message):
     unpacker = struct.Struct("<iih10HhBBBbiB4HBI")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, id: int, battery_function: int, type: int, temperature: int, voltages: Sequence[int], current_battery: int, current_consumed: int, energy_consumed: int, battery_remaining: int, time_remaining: int = 0, charge_state: int = 0, voltages_ext: Sequence[int] = (0, 0, 0, 0), mode: int = 0, fault_bitmask: int = 0):
-        MAVLink_message.__init__(self, MAVLink_battery_status_message.id, MAVLink_battery_status_message.msgname)
-        self._fieldnames = MAVLink_battery_status_message.fieldnames
-        self._instance_field = MAVLink_battery_status_message.instance_field
-        self._instance_offset = MAVLink_battery_status_message.instance_offset
         self.id = id
         self.battery_function = battery_function
         self.type = type
@@ -2565,12 +2522,10 @@ class MAVLink_autopilot_version_message(MAVLink_message):
     unpacker = struct.Struct("<QQIIIIHH8B8B8B18B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, capabilities: int, flight_sw_version: int, middleware_sw_version: int, os_sw_version: int, board_version: int, flight_custom_version: Sequence[int], middleware_custom_version: Sequence[int], os_custom_version: Sequence[int], vendor_id: int, product_id: int, uid: int, uid2: Sequence[int] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0)):
-        MAVLink_message.__init__(self, MAVLink_autopilot_version_message.id, MAVLink_autopilot_version_message.msgname)
-        self._fieldnames = MAVLink_autopilot_version_message.fieldnames
-        self._instance_field = MAVLink_autopilot_version_message.instance_field
-        self._instance_offset = MAVLink_autopilot_version_message.instance_offset
         self.capabilities = capabilities
         self.flight_sw_version = flight_sw_version
         self.middleware_sw_version = middleware_sw_version
@@ -2614,12 +2569,10 @@ class MAVLink_home_position_message(MAVLink_message):
     unpacker = struct.Struct("<iiifff4ffffQ")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, latitude: int, longitude: int, altitude: int, x: float, y: float, z: float, q: Sequence[float], approach_x: float, approach_y: float, approach_z: float, time_usec: int = 0):
-        MAVLink_message.__init__(self, MAVLink_home_position_message.id, MAVLink_home_position_message.msgname)
-        self._fieldnames = MAVLink_home_position_message.fieldnames
-        self._instance_field = MAVLink_home_position_message.instance_field
-        self._instance_offset = MAVLink_home_position_message.instance_offset
         self.latitude = latitude
         self.longitude = longitude
         self.altitude = altitude
@@ -2663,12 +2616,10 @@ class MAVLink_message_interval_message(MAVLink_message):
     unpacker = struct.Struct("<iH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, message_id: int, interval_us: int):
-        MAVLink_message.__init__(self, MAVLink_message_interval_message.id, MAVLink_message_interval_message.msgname)
-        self._fieldnames = MAVLink_message_interval_message.fieldnames
-        self._instance_field = MAVLink_message_interval_message.instance_field
-        self._instance_offset = MAVLink_message_interval_message.instance_offset
         self.message_id = message_id
         self.interval_us = interval_us
 
@@ -2702,12 +2653,10 @@ class MAVLink_extended_sys_state_message(MAVLink_message):
     unpacker = struct.Struct("<BB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, vtol_state: int, landed_state: int):
-        MAVLink_message.__init__(self, MAVLink_extended_sys_state_message.id, MAVLink_extended_sys_state_message.msgname)
-        self._fieldnames = MAVLink_extended_sys_state_message.fieldnames
-        self._instance_field = MAVLink_extended_sys_state_message.instance_field
-        self._instance_offset = MAVLink_extended_sys_state_message.instance_offset
         self.vtol_state = vtol_state
         self.landed_state = landed_state
 
@@ -2741,12 +2690,10 @@ class MAVLink_statustext_message(MAVLink_message):
     unpacker = struct.Struct("<B50sHB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, severity: int, text: bytes, id: int = 0, chunk_seq: int = 0):
-        MAVLink_message.__init__(self, MAVLink_statustext_message.id, MAVLink_statustext_message.msgname)
-        self._fieldnames = MAVLink_statustext_message.fieldnames
-        self._instance_field = MAVLink_statustext_message.instance_field
-        self._instance_offset = MAVLink_statustext_message.instance_offset
         self.severity = severity
         self._text_raw = text
         self.text = text.split(b"\x00", 1)[0].decode("ascii", errors="replace")
@@ -2784,12 +2731,10 @@ class MAVLink_setup_signing_message(MAVLink_message):
     unpacker = struct.Struct("<QBB32B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, secret_key: Sequence[int], initial_timestamp: int):
-        MAVLink_message.__init__(self, MAVLink_setup_signing_message.id, MAVLink_setup_signing_message.msgname)
-        self._fieldnames = MAVLink_setup_signing_message.fieldnames
-        self._instance_field = MAVLink_setup_signing_message.instance_field
-        self._instance_offset = MAVLink_setup_signing_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self.secret_key = secret_key
@@ -2825,12 +2770,10 @@ class MAVLink_odometry_message(MAVLink_message):
     unpacker = struct.Struct("<Qfff4fffffff21f21fBBBBb")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, time_usec: int, frame_id: int, child_frame_id: int, x: float, y: float, z: float, q: Sequence[float], vx: float, vy: float, vz: float, rollspeed: float, pitchspeed: float, yawspeed: float, pose_covariance: Sequence[float], velocity_covariance: Sequence[float], reset_counter: int = 0, estimator_type: int = 0, quality: int = 0):
-        MAVLink_message.__init__(self, MAVLink_odometry_message.id, MAVLink_odometry_message.msgname)
-        self._fieldnames = MAVLink_odometry_message.fieldnames
-        self._instance_field = MAVLink_odometry_message.instance_field
-        self._instance_offset = MAVLink_odometry_message.instance_offset
         self.time_usec = time_usec
         self.frame_id = frame_id
         self.child_frame_id = child_frame_id
@@ -2880,12 +2823,10 @@ class MAVLink_param_error_message(MAVLink_message):
     unpacker = struct.Struct("<hBB16sB")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, target_component: int, param_id: bytes, param_index: int, error: int):
-        MAVLink_message.__init__(self, MAVLink_param_error_message.id, MAVLink_param_error_message.msgname)
-        self._fieldnames = MAVLink_param_error_message.fieldnames
-        self._instance_field = MAVLink_param_error_message.instance_field
-        self._instance_offset = MAVLink_param_error_message.instance_offset
         self.target_system = target_system
         self.target_component = target_component
         self._param_id_raw = param_id
@@ -2926,12 +2867,10 @@ class MAVLink_fc_control_message(MAVLink_message):
     unpacker = struct.Struct("<If3f3f4I3I3I3f")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tick: int, collective: float, rate_cmd: Sequence[float], torque: Sequence[float], motor_sum: Sequence[int], gyro_sum: Sequence[int], force_sum: Sequence[int], rate_integral: Sequence[float]):
-        MAVLink_message.__init__(self, MAVLink_fc_control_message.id, MAVLink_fc_control_message.msgname)
-        self._fieldnames = MAVLink_fc_control_message.fieldnames
-        self._instance_field = MAVLink_fc_control_message.instance_field
-        self._instance_offset = MAVLink_fc_control_message.instance_offset
         self.tick = tick
         self.collective = collective
         self.rate_cmd = rate_cmd
@@ -2971,12 +2910,10 @@ class MAVLink_fc_estimate_message(MAVLink_message):
     unpacker = struct.Struct("<I3f3f3f3f4hH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tick: int, p: Sequence[float], v: Sequence[float], q: Sequence[int], rate: Sequence[float], mocap_age: int, gyro_bias: Sequence[float]):
-        MAVLink_message.__init__(self, MAVLink_fc_estimate_message.id, MAVLink_fc_estimate_message.msgname)
-        self._fieldnames = MAVLink_fc_estimate_message.fieldnames
-        self._instance_field = MAVLink_fc_estimate_message.instance_field
-        self._instance_offset = MAVLink_fc_estimate_message.instance_offset
         self.tick = tick
         self.p = p
         self.v = v
@@ -3016,12 +2953,10 @@ class MAVLink_fc_status_message(MAVLink_message):
     unpacker = struct.Struct("<IIIIIIIIHHHHHHHHBBBB6B6B6B6BBBB2B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tick: int, state_tick: int, reference_tick: int, saturated_ticks: int, flight_ticks: int, poses_used: int, battery_mv: int, swap_tick: int, conditions: int, loop_us: int, loop_mean_us: int, jitter_us: int, mocap_age_max: int, loop_overruns: int, uart_overruns: int, bad_bytes: int, state: int, failsafe: int, action: int, staged_kind: int, staged_id: Sequence[int], reference_id: Sequence[int], feedforward_id: Sequence[int], vehicle_id: Sequence[int], feedforward_faded: int = 0, tracking: int = 0, command: int = 0, commander: Sequence[int] = (0, 0)):
-        MAVLink_message.__init__(self, MAVLink_fc_status_message.id, MAVLink_fc_status_message.msgname)
-        self._fieldnames = MAVLink_fc_status_message.fieldnames
-        self._instance_field = MAVLink_fc_status_message.instance_field
-        self._instance_offset = MAVLink_fc_status_message.instance_offset
         self.tick = tick
         self.state_tick = state_tick
         self.reference_tick = reference_tick
@@ -3081,12 +3016,10 @@ class MAVLink_radio_stats_message(MAVLink_message):
     unpacker = struct.Struct("<IIIHHHHH")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, frames_sent: int, frames_received: int, messages_sent: int, refused: int, replaced: int, broken: int, uart_overruns: int, bad_bytes: int):
-        MAVLink_message.__init__(self, MAVLink_radio_stats_message.id, MAVLink_radio_stats_message.msgname)
-        self._fieldnames = MAVLink_radio_stats_message.fieldnames
-        self._instance_field = MAVLink_radio_stats_message.instance_field
-        self._instance_offset = MAVLink_radio_stats_message.instance_offset
         self.frames_sent = frames_sent
         self.frames_received = frames_received
         self.messages_sent = messages_sent
@@ -3127,12 +3060,10 @@ class MAVLink_fc_observer_message(MAVLink_message):
     unpacker = struct.Struct("<I3f")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tick: int, disturbance: Sequence[float]):
-        MAVLink_message.__init__(self, MAVLink_fc_observer_message.id, MAVLink_fc_observer_message.msgname)
-        self._fieldnames = MAVLink_fc_observer_message.fieldnames
-        self._instance_field = MAVLink_fc_observer_message.instance_field
-        self._instance_offset = MAVLink_fc_observer_message.instance_offset
         self.tick = tick
         self.disturbance = disturbance
 
@@ -3167,12 +3098,10 @@ class MAVLink_upload_begin_message(MAVLink_message):
     unpacker = struct.Struct("<IBBBB32B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, size: int, target_system: int, kind: int, chunk: int, query: int, digest: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_upload_begin_message.id, MAVLink_upload_begin_message.msgname)
-        self._fieldnames = MAVLink_upload_begin_message.fieldnames
-        self._instance_field = MAVLink_upload_begin_message.instance_field
-        self._instance_offset = MAVLink_upload_begin_message.instance_offset
         self.size = size
         self.target_system = target_system
         self.kind = kind
@@ -3210,12 +3139,10 @@ class MAVLink_upload_chunk_message(MAVLink_message):
     unpacker = struct.Struct("<HHB99B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tag: int, index: int, target_system: int, data: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_upload_chunk_message.id, MAVLink_upload_chunk_message.msgname)
-        self._fieldnames = MAVLink_upload_chunk_message.fieldnames
-        self._instance_field = MAVLink_upload_chunk_message.instance_field
-        self._instance_offset = MAVLink_upload_chunk_message.instance_offset
         self.tag = tag
         self.index = index
         self.target_system = target_system
@@ -3251,12 +3178,10 @@ class MAVLink_upload_status_message(MAVLink_message):
     unpacker = struct.Struct("<HHHBBBB64B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, tag: int, base: int, held: int, state: int, result: int, kind: int, query: int, bitmap: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_upload_status_message.id, MAVLink_upload_status_message.msgname)
-        self._fieldnames = MAVLink_upload_status_message.fieldnames
-        self._instance_field = MAVLink_upload_status_message.instance_field
-        self._instance_offset = MAVLink_upload_status_message.instance_offset
         self.tag = tag
         self.base = base
         self.held = held
@@ -3296,12 +3221,10 @@ class MAVLink_upload_verdict_message(MAVLink_message):
     unpacker = struct.Struct("<ffHHBB64s")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, value: float, bound: float, tag: int, node: int, ok: int, reason: int, message: bytes):
-        MAVLink_message.__init__(self, MAVLink_upload_verdict_message.id, MAVLink_upload_verdict_message.msgname)
-        self._fieldnames = MAVLink_upload_verdict_message.fieldnames
-        self._instance_field = MAVLink_upload_verdict_message.instance_field
-        self._instance_offset = MAVLink_upload_verdict_message.instance_offset
         self.value = value
         self.bound = bound
         self.tag = tag
@@ -3342,12 +3265,10 @@ class MAVLink_upload_commit_message(MAVLink_message):
     unpacker = struct.Struct("<IBB32B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, at_tick: int, target_system: int, kind: int, digest: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_upload_commit_message.id, MAVLink_upload_commit_message.msgname)
-        self._fieldnames = MAVLink_upload_commit_message.fieldnames
-        self._instance_field = MAVLink_upload_commit_message.instance_field
-        self._instance_offset = MAVLink_upload_commit_message.instance_offset
         self.at_tick = at_tick
         self.target_system = target_system
         self.kind = kind
@@ -3383,12 +3304,10 @@ class MAVLink_upload_abort_message(MAVLink_message):
     unpacker = struct.Struct("<B32B")
     instance_field = None
     instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
 
     def __init__(self, target_system: int, digest: Sequence[int]):
-        MAVLink_message.__init__(self, MAVLink_upload_abort_message.id, MAVLink_upload_abort_message.msgname)
-        self._fieldnames = MAVLink_upload_abort_message.fieldnames
-        self._instance_field = MAVLink_upload_abort_message.instance_field
-        self._instance_offset = MAVLink_upload_abort_message.instance_offset
         self.target_system = target_system
         self.digest = digest
 

@@ -55,6 +55,10 @@ class _Tap:
         self._radio, self._up, self._frames = radio, up, frames
 
     @property
+    def has_frame(self) -> bool:
+        return self._radio.has_frame
+
+    @property
     def pose_waits(self) -> bool:
         return self._radio.pose_waits
 

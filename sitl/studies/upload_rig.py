@@ -52,7 +52,7 @@ class AtRest:
         self.outputs = {block.name: memoryview(array("d", bytes(8 * block.size))) for block in law.OUTPUTS}
         self._memory, self._memory_out = self.inputs["memory"], self.outputs["memory"]
 
-    def __call__(self) -> None:
+    def run(self) -> None:
         """Copy the memory from the inputs to the outputs."""
         self._memory_out[:] = self._memory
 
@@ -106,6 +106,11 @@ class VehicleEnd:
         self._on_us = now_us + OFF_US
         self._update_us = 0
         self._power_up()
+
+    @property
+    def has_frame(self) -> bool:
+        """Whether a frame waits to be sent."""
+        return self.radio.has_frame
 
     @property
     def pose_waits(self) -> bool:

@@ -151,7 +151,7 @@ def test_difference_is_exact_below_half_the_modulus(a: int, d: int) -> None:
 
 @given(total=st.floats(-1e12, 1e12))
 def test_encode_sum_is_the_floor_modulo_two_to_the_32(total: float) -> None:
-    assert telemetry.encode_sum(total) == math.floor(total) % 2**32
+    assert telemetry.encode_sums([total]) == [math.floor(total) % 2**32]
 
 
 @given(parts=st.tuples(*[st.floats(-1, 1)] * 4).filter(lambda q: sum(x * x for x in q) > 1e-3))

@@ -120,6 +120,7 @@ def frozen(simulated: Any) -> None:
     sample = simulated._sensed.tolist()
     simulated._sensed = sample
     simulated._imu_errors = cycle([(0.0,) * 7])
+    simulated._tick_devices = simulated._devices()
 
 
 @pytest.mark.parametrize(("event", "spoil"), [(Event.LOOP_OVERRUN, busy), (Event.IMU_STUCK, frozen)])

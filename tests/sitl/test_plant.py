@@ -214,10 +214,9 @@ def test_part_at_its_neutral_changes_nothing(vehicle: Vehicle, kind: str) -> Non
         inputs["parameters"][:] = pack(PARAMETERS, plant_parameters(vehicle, stated(vehicle, {})))
         inputs["state"][:] = plant.state
         for k in range(300):
-            inputs["command"][:] = pack(
-                (Block("command", 4),), {"command": (0.5, 0.5, 0.52, 0.48 + 0.001 * k)}
-            )
-            engine()
+            command = (0.5, 0.5, 0.52, 0.48 + 0.001 * k)
+            inputs["commands"][:] = pack((Block("commands", 8),), {"commands": 2 * command})
+            engine.run()
             inputs["state"][:] = engine.outputs["state"]
         ends.append(np.array(engine.outputs["state"])[:18])
     assert ends[0] == pytest.approx(ends[1], rel=1e-9, abs=1e-12)

@@ -26,6 +26,10 @@ class Endless:
         self.received: list[tuple[int, bytes]] = []
         self.pose_waits = False
 
+    @property
+    def has_frame(self) -> bool:
+        return self.left > 0
+
     def air_send(self, now_us: int) -> bytes | None:
         if not self.left:
             return None
@@ -164,6 +168,25 @@ def test_poses_without_end_leave_every_third_slot_to_the_other_side() -> None:
         channel.tick(now_us)
     assert (len(ground.sent_us), len(vehicle.sent_us)) == (40, 20)
     assert max(np.diff(vehicle.sent_us)) == 6000
+
+
+@pytest.mark.parametrize(("again_us", "first"), [(5000, "vehicle"), (9000, "ground")])
+def test_pose_goes_ahead_again_after_an_idle_slot(again_us: int, first: str) -> None:
+    """The ground sends at 2 ms and, out of turn, at 4 ms; then both have a frame, at once or later."""
+    ground, vehicle = Endless(0), Endless(0)
+    rngs = [np.random.default_rng((0, k)) for k in range(2)]
+    channel = RadioChannel(ground=ground, vehicle=vehicle, settings=CLEAN, up_rng=rngs[0], down_rng=rngs[1])
+    for now_us in range(0, 16_000, 1000):
+        channel.tick(now_us)
+        ground.pose_waits = ground.left > 0
+        if now_us in (1000, 3000, again_us):
+            ground.left, ground.pose_waits = 1, True
+            channel.wake(now_us, ground=True)
+        if now_us == again_us:
+            vehicle.left = 1
+            channel.wake(now_us, ground=False)
+    assert ground.sent_us[:2] == [2000, 4000]
+    assert (ground.sent_us[2] < vehicle.sent_us[0]) == (first == "ground")
 
 
 def test_idle_side_leaves_every_slot_to_the_other() -> None:

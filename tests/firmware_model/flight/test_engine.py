@@ -15,7 +15,7 @@ def test_float_engine_keeps_its_views():
     inputs["feedforward"][0] = 1.0
     for k in range(len(law.PARAMETERS)):
         inputs["parameters"][k] = 1.0
-    engine()
+    engine.run()
     assert engine.outputs["motor_command"] is before
     assert engine.outputs["memory"][6] == pytest.approx(1.0)
 
@@ -23,9 +23,9 @@ def test_float_engine_keeps_its_views():
 def test_float_engine_with_a_step_that_returns_the_wrong_blocks_raises():
     blocks = (law.Block(name="a", size=2),)
     with pytest.raises(ValueError, match="step returned"):
-        FloatEngine(lambda ops, x: {"b": (0.0,)}, FLOAT, blocks, blocks)()
+        FloatEngine(lambda ops, x: {"b": (0.0,)}, FLOAT, blocks, blocks).run()
     with pytest.raises(ValueError, match="1 values for a"):
-        FloatEngine(lambda ops, x: {"a": (0.0,)}, FLOAT, blocks, blocks)()
+        FloatEngine(lambda ops, x: {"a": (0.0,)}, FLOAT, blocks, blocks).run()
 
 
 def test_float_and_compiled_law_fly_alike(engine, make_rig):

@@ -22,7 +22,7 @@ def test_read_before_the_last_byte_arrived_returns_the_bytes_due():
     assert b.read(110) == b"a"
     assert b.read(139) == b"bc"
     assert b.read(10_000) == b"def"
-    assert (a.sent, b.received, b.overruns) == (6, 6, 0)
+    assert b.overruns == 0
 
 
 def test_second_write_while_the_line_is_busy_waits_its_turn():

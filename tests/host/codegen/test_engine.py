@@ -61,11 +61,11 @@ def test_engine_reads_and_writes_named_blocks(kind):
     for view in (x, scaled):
         assert (view.format, view.readonly) == ("d", False)
     x[0], x[1], k[0] = 1.0, 0.5, 3.0
-    engine()
+    engine.run()
     assert scaled.tolist() == [3.0, 1.5]
     assert engine.outputs["sum"][0] == 1.0 + FLOAT.sin(0.5)
     k[0] = 2.0
-    engine()
+    engine.run()
     assert scaled.tolist() == [2.0, 1.0]
 
 
@@ -76,7 +76,7 @@ def test_engine_outlives_everything_it_was_made_of(kind):
     del junk
     gc.collect()
     doubles(engine.inputs)["x"][0] = 2.0
-    engine()
+    engine.run()
     assert engine.outputs["sum"][0] == 2.0
 
 
@@ -141,8 +141,8 @@ def test_virtual_machine_and_c_agree_bit_for_bit_on_ten_thousand_steps(require):
     for _ in range(10_000):
         for name, value in _random_inputs(rng).items():
             vm.inputs[name][:] = c.inputs[name][:] = array("d", value)
-        vm()
-        c()
+        vm.run()
+        c.run()
         for name, view in vm.outputs.items():
             assert bytes(view) == bytes(c.outputs[name]), name
         saturated += vm.outputs["saturated"][0]
@@ -157,7 +157,7 @@ def test_engine_of_the_law_agrees_with_the_float_law(kind):
         values = _random_inputs(rng)
         for name, value in values.items():
             engine.inputs[name][:] = array("d", value)
-        engine()
+        engine.run()
         expected = law.step(FLOAT, {name: value.tolist() for name, value in values.items()})
         for name, view in engine.outputs.items():
             scale = max(1.0, *map(abs, expected[name]))
@@ -186,7 +186,7 @@ def test_with_a_compiler_that_fails_auto_warns_and_is_the_virtual_machine(cache,
     monkeypatch.setattr("trimtab.host.codegen.compiler._warned", set())
     engine = compile_blocks(_example, IN, OUT, "example", engine="auto")
     doubles(engine.inputs)["x"][0] = 2.0
-    engine()
+    engine.run()
     assert (engine.kind, engine.outputs["sum"][0]) == ("vm", 2.0)
     assert "continuing without compiled code" in capsys.readouterr().err
     with pytest.raises(CodegenError, match="does not run"):

@@ -138,7 +138,7 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
         samples = [x[:12].copy()]
         at = yaw_at = 0
         for k in range(1, steps + 1):
-            plant()
+            plant.run()
             x = np.array(plant.outputs["x"])
             q = np.array(plant.outputs["q"])
             past.append((x[0:3].copy(), q))
@@ -161,7 +161,7 @@ def fly_sampled(vehicle) -> Callable[..., np.ndarray]:
             law.inputs["mocap_q"][:] = past[0][1].data
             given["mocap_age_s"][0] = min(len(past) - 1, age_ticks) * 1e-3
             given["mocap_interval_s"][0] = 0.01
-            law()
+            law.run()
             law.inputs["memory"][:] = law.outputs["memory"]
             sent.append(np.array(law.outputs["motor_command"]))
             plant.inputs["command"][:] = sent[0].data

@@ -11,7 +11,7 @@ import pytest
 from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.firmware_model.law.reference_verdict import ReferenceReason
-from trimtab.host.plan.all_at_once import ALL_AT_ONCE
+from trimtab.host.codegen.all_at_once import ALL_AT_ONCE
 from trimtab.host.plan.snap import optimise_durations
 from trimtab.host.plan.table import snap_table, to_reference
 from trimtab.protocol.blobs import YawNode

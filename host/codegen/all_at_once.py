@@ -14,7 +14,7 @@ import numpy as np
 from trimtab.firmware_model.law.checks import Evaluator
 from trimtab.firmware_model.law.scan import REASONS, Bounds, Part, curves, sample_us
 from trimtab.firmware_model.law.smoothness import Neighbours, deviations
-from trimtab.host.codegen import LIBM
+from trimtab.host.codegen.ops import LIBM
 
 
 def _least_margins(parts: Sequence[Part], bounds: Bounds) -> tuple[dict[str, float], tuple[Part, int] | None]:
