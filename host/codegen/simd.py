@@ -132,8 +132,10 @@ def lanes_of(rows: np.ndarray, lanes: int) -> Annotated[np.ndarray, "... lanes"]
     """Return rows (n, ...) as aligned (groups, ..., lanes); the first row fills the last group."""
     groups = -(-len(rows) // lanes)
     out = aligned((groups, *rows.shape[1:], lanes))
-    for k in range(groups * lanes):
-        out[k // lanes, ..., k % lanes] = rows[k if k < len(rows) else 0]
+    by_lane, (full, rest) = np.moveaxis(out, -1, 1), divmod(len(rows), lanes)
+    by_lane[:full] = rows[: full * lanes].reshape(full, lanes, *rows.shape[1:])
+    if rest:
+        by_lane[full, :rest], by_lane[full, rest:] = rows[full * lanes :], rows[0]
     return out
 
 

@@ -116,7 +116,7 @@ def condense(  # noqa: PLR0913 (the data of one problem)
     size = 3 * nodes + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
     constant, at = np.empty(count), np.empty((count, size))
-    root = np.tile(np.sqrt(engine.weight / segments.steps), segments.steps)
+    weight = engine.weight / segments.steps
 
     def condense_block(first: int) -> None:
         block = np.arange(first, min(first + _BLOCK, count))
@@ -124,22 +124,21 @@ def condense(  # noqa: PLR0913 (the data of one problem)
         ahead = DELAY_S * _rates(part.measured, part.step_s)  # the change by which late poses lag
         x0 = part.x0.copy()
         x0[:, :12] += delay * ahead[:, 0]
-        base, moved, shifted = linearised(engine, part, x0, acceleration[block], theta, free, sigma)
-        late = (shifted[:, :, :12] @ (ahead[:, 0] / sigma[:, :12])[:, :, None])[:, :, 0]
-        late -= ahead[:, 1:].reshape(len(block), -1)
-        for i, by_typical_s in enumerate(later):
-            moved[:, :, 3 * nodes + i] += by_typical_s / DELAY_S * late
-        measured = (part.measured[:, 1:] + delay * ahead[:, 1:]).reshape(len(block), -1)
-        residual = (root * (measured - base))[:, :, None]
-        u = root[:, None] * np.concatenate([moved, late[:, :, None]], axis=2)
-        s = root[:, None] * shifted
-        transposed = s.swapaxes(1, 2) * segments.steps
+        linear = linearised(engine, part, x0, acceleration[block], theta, free, sigma)
+        chained = linear.chained(sigma[:, None, :] * np.eye(sigma.shape[1]))
+        by_theta, by_start = chained[..., :parameters], chained[..., parameters:]
+        late = by_start[..., :12] @ (ahead[:, 0] / sigma[:, :12])[:, None, :, None] - ahead[:, 1:, :, None]
+        by_theta += np.array(later) / DELAY_S * late
+        residual = part.measured[:, 1:] + delay * ahead[:, 1:] - linear.states[:, 1:, :12]
+        both = linear.products(
+            weight, np.concatenate([by_theta, late, residual[..., None], by_start], axis=3)
+        )
         # The start's sigmas belong to one measurement; the loss is a mean over steps.
-        best = np.linalg.solve(transposed @ s + np.eye(s.shape[2]), transposed)
-        residual_over, u_over = residual - s @ (best @ residual), u - s @ (best @ u)
-        hessian[block] = u.swapaxes(1, 2) @ u_over
-        slope[block] = -(u.swapaxes(1, 2) @ residual_over)[:, :, 0]
-        constant[block] = (residual * residual_over).sum((1, 2))
+        normal = both[:, size + 1 :, size + 1 :] + np.eye(sigma.shape[1]) / segments.steps
+        shared = both[:, : size + 1, size + 1 :]
+        over = both[:, : size + 1, : size + 1] - shared @ np.linalg.solve(normal, shared.swapaxes(1, 2))
+        hessian[block], slope[block] = over[:, :size, :size], -over[:, :size, size]
+        constant[block] = over[:, size, size]
         at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
 
     parallel.each(condense_block, range(0, count, _BLOCK), jobs if isinstance(engine, LaneRollouts) else 1)
