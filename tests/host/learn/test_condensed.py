@@ -10,7 +10,7 @@ import pytest
 from trimtab.host.codegen import find_compiler
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
-from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense
+from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, knots, spline
 from trimtab.host.learn.fit import Basis, Examples, accelerations, fit
 from trimtab.host.learn.lanes import LaneRollouts, rollouts
 from trimtab.host.learn.linear import between, effect_scales
@@ -31,6 +31,7 @@ BARE = Phi(vehicle=VEHICLE, estimator=False)
 SMALL = Layout(hidden=(1,))
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS = 20
+KNOTS = knots(STEPS + 1)
 
 
 @pytest.fixture(scope="module")
@@ -51,17 +52,17 @@ def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndar
 
 
 def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
-    """The loss of true roll-outs from the measured starts with accelerations (S, N + 1, 3) at the nodes."""
+    """The loss of true roll-outs from the measured starts with accelerations (S, knots, 3) at the knots."""
     engine = Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
     thetas = np.repeat(theta[None], segments.count, axis=0)
-    states = engine.pushed(segments)(segments.x0, thetas, between(push))
+    states = engine.pushed(segments)(segments.x0, thetas, between(spline(STEPS + 1) @ push))
     return loss_of(segments, states.transpose(1, 0, 2), WEIGHT)
 
 
 def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
     few = segments.take([0, 3])
     rng = np.random.default_rng(0)
-    at, theta = 0.2 * rng.standard_normal((2, STEPS + 1, 3)), np.array([0.1, 0.2, 0.05])
+    at, theta = 0.2 * rng.standard_normal((2, len(KNOTS), 3)), np.array([0.1, 0.2, 0.05])
     condensed = condensed_about(few, at, theta, held=1e-6)
     u = condensed.at.copy()
     assert condensed.loss(u)[0] == pytest.approx(rolled(few, at, theta), rel=1e-9)
@@ -76,7 +77,7 @@ def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
 
 def test_condensed_loss_of_free_starts_is_less_and_its_slope_is_its_difference(segments):
     few = segments.take([0, 3])
-    still, theta = np.zeros((2, STEPS + 1, 3)), np.zeros(3)
+    still, theta = np.zeros((2, len(KNOTS), 3)), np.zeros(3)
     held, free = (condensed_about(few, still, theta, held=held) for held in (1e-6, 1.0))
     assert free.loss(free.at)[0] < held.loss(held.at)[0]
     rng = np.random.default_rng(1)
@@ -99,7 +100,7 @@ def test_both_engines_condense_alike(segments, require):
             engine,
             few,
             start_sigma=start_sigma(PHI, few),
-            acceleration=np.zeros((1, STEPS + 1, 3)),
+            acceleration=np.zeros((1, len(KNOTS), 3)),
             theta=theta,
             free=range(3),
         )
@@ -117,9 +118,9 @@ def test_slope_of_what_is_learned_is_its_difference(segments, frame):
     basis = Basis(layout=layout, parameters=3, delay=True)
     rng = np.random.default_rng(2)
     headings = rng.uniform(-3.0, 3.0, (2, 3))
-    states = few.measured[:, :, 3:9]
+    states = few.measured[:, KNOTS, 3:9]
     examples = Examples(
-        condensed=condensed_about(few, np.zeros((3, STEPS + 1, 3)), np.zeros(3)), states=states
+        condensed=condensed_about(few, np.zeros((3, len(KNOTS), 3)), np.zeros(3)), states=states
     )
     from trimtab.host.learn.fit import _Problem
 
@@ -208,11 +209,11 @@ def test_fit_ends_early_where_validation_does_not_improve(segments):
             engine,
             part,
             start_sigma=start_sigma(BARE, part),
-            acceleration=np.zeros((part.count, STEPS + 1, 3)),
+            acceleration=np.zeros((part.count, len(KNOTS), 3)),
             theta=np.zeros(0),
             free=(),
         )
-        phi_examples.append(Examples(condensed=condensed, states=part.measured[:, :, 3:9]))
+        phi_examples.append(Examples(condensed=condensed, states=part.measured[:, KNOTS, 3:9]))
     start = np.zeros(basis.size)
     start[:] = Layout(hidden=(4,)).initial(np.random.default_rng(0))
     found = fit(
