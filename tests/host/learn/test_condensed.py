@@ -11,9 +11,9 @@ from trimtab.host.codegen import find_compiler
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
 from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, knots, spline
-from trimtab.host.learn.fit import Basis, Examples, accelerations, fit
+from trimtab.host.learn.fit import Basis, Examples, accelerations, fit, initial
 from trimtab.host.learn.lanes import LaneRollouts, rollouts
-from trimtab.host.learn.linear import between, effect_scales
+from trimtab.host.learn.linear import Linearised, between, effect_scales
 from trimtab.host.learn.quick import train_condensed
 from trimtab.host.learn.starts import start_sigma
 from trimtab.host.learn.train import LOSS_SIGMA
@@ -57,6 +57,58 @@ def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
     thetas = np.repeat(theta[None], segments.count, axis=0)
     states = engine.pushed(segments)(segments.x0, thetas, between(spline(STEPS + 1) @ push))
     return loss_of(segments, states.transpose(1, 0, 2), WEIGHT)
+
+
+def test_products_are_those_of_slopes_that_are_formed():
+    """The oracle chains the steps for every column, as the roll-outs do."""
+    rng = np.random.default_rng(3)
+    count, steps, size, parameters, others = 2, 4, 14, 2, 3
+    shapes = ((size, size), (size, 3), (size, 3), (size, parameters))
+    by_state, by_first, by_second, by_theta = (rng.standard_normal((count, steps, *s)) for s in shapes)
+    linear = Linearised(
+        states=np.zeros((count, steps + 1, size)),
+        by_state=by_state,
+        by_first=by_first,
+        by_second=by_second,
+        by_theta=by_theta,
+    )
+    weight, columns = rng.uniform(0.5, 2.0, 12), rng.standard_normal((count, steps, 12, others))
+    slopes = np.zeros((count, steps + 1, size, 3 * (steps + 1) + parameters))
+    for k in range(steps):
+        slopes[:, k + 1] = by_state[:, k] @ slopes[:, k]
+        slopes[:, k + 1, :, 3 * k : 3 * k + 3] += by_first[:, k]
+        slopes[:, k + 1, :, 3 * k + 3 : 3 * k + 6] += by_second[:, k]
+        slopes[:, k + 1, :, -parameters:] += by_theta[:, k]
+    chained = linear.chained(np.zeros((count, size, 1)))
+    np.testing.assert_allclose(chained[..., :parameters], slopes[:, 1:, :12, -parameters:])
+    assert not chained[..., parameters:].any()
+    every = np.concatenate([slopes[:, 1:, :12, :-parameters], columns], axis=3).reshape(count, 12 * steps, -1)
+    expected = every.swapaxes(1, 2) @ (np.tile(weight, steps)[:, None] * every)
+    np.testing.assert_allclose(linear.products(weight, columns), expected, atol=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("nodes", [21, 50])
+def test_spline_has_the_values_of_its_knots_and_follows_a_turn_of_the_attitude(nodes):
+    """At 12 rad/s, the bandwidth of the attitude loop: within 2 % away from the ends."""
+    t_s = 0.02 * np.arange(nodes)
+    at = knots(nodes)
+    assert at[0] == 0
+    assert at[-1] == nodes - 1
+    np.testing.assert_allclose(spline(nodes)[at], np.eye(len(at)), atol=1e-12)
+    np.testing.assert_allclose(spline(nodes) @ t_s[at] ** 3, t_s**3, atol=1e-12)
+    wave = np.sin(12.0 * t_s)
+    assert abs(spline(nodes) @ wave[at] - wave)[6:-6].max() < 0.02
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_first_weights_see_inputs_in_typical_sizes(frame):
+    layout = Layout(hidden=(4, 3), frame=frame)
+    (first, *_), (drawn, *_) = (
+        layout.layers(xi)
+        for xi in (initial(layout, np.random.default_rng(5)), layout.initial(np.random.default_rng(5)))
+    )
+    typical = [3.0, 3.0, 3.0, 0.6, 0.6, 3.0][: layout.sizes[0]]
+    np.testing.assert_allclose(first[0] * typical, drawn[0])
 
 
 def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
