@@ -132,10 +132,8 @@ def lanes_of(rows: np.ndarray, lanes: int) -> Annotated[np.ndarray, "... lanes"]
     """Return rows (n, ...) as aligned (groups, ..., lanes); the first row fills the last group."""
     groups = -(-len(rows) // lanes)
     out = aligned((groups, *rows.shape[1:], lanes))
-    by_lane, (full, rest) = np.moveaxis(out, -1, 1), divmod(len(rows), lanes)
-    by_lane[:full] = rows[: full * lanes].reshape(full, lanes, *rows.shape[1:])
-    if rest:
-        by_lane[full, :rest], by_lane[full, rest:] = rows[full * lanes :], rows[0]
+    filled = rows[np.where(np.arange(groups * lanes) < len(rows), np.arange(groups * lanes), 0)]
+    out[...] = np.moveaxis(filled.reshape(groups, lanes, *rows.shape[1:]), 1, -1)
     return out
 
 
