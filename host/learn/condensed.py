@@ -1,9 +1,10 @@
 """The trajectory loss condensed: quadratic in the residual acceleration along each segment.
 
 A segment's prediction is linearised once about a roll-out, by the acceleration at its nodes, the effects'
-parameters, the delay of the poses against their time stamps, and its start. The start is free within its
-sigma, so its best value is eliminated (Schur complement). One small matrix per segment remains. Learning then
-costs as much as supervised learning, and a basis that is linear in its parameters takes one solve.
+parameters, the delay of the poses against their time stamps, and its start. The acceleration follows a cubic
+spline through its values at every third node, since flights are smooth over 60 ms. The start is free within
+its sigma, so its best value is eliminated (Schur complement). One small matrix per segment remains. Learning
+then costs as much as supervised learning, and a basis that is linear in its parameters takes one solve.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from scipy.interpolate import CubicSpline
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.base import parallel
@@ -23,6 +25,9 @@ from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.segments import Segments
 from trimtab.host.models.slots import mocap_latency_s
+
+KNOT_STEPS = 3
+"""Steps from one knot of the acceleration to the next: 60 ms."""
 
 _BLOCK = 32
 """Segments at a time, which take about a hundred megabytes."""
@@ -54,17 +59,19 @@ class CondensedSettings:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Condensed:
-    """The loss of each segment, c + 2 g' u + u' H u, with u = [d at the nodes; eta; delay] - `at`.
+    """The loss of each segment, c + 2 g' u + u' H u, with u = [d at the knots; eta; delay] - `at`.
 
-    The unknowns u are 3 for each node, eta and 1. eta: free parameters of effects in typical sizes from
+    The unknowns u are 3 for each knot, eta and 1. eta: free parameters of effects in typical sizes from
     neutral. The delay is in units of DELAY_S. A segment's loss is the weighted mean over its steps.
+    curvature: mean of the Hessian's diagonal by the accelerations at single nodes.
     """
 
     hessian: Annotated[np.ndarray, "segments unknowns unknowns"]
     slope: Annotated[np.ndarray, "segments unknowns"]
     constant: Annotated[np.ndarray, "segments"]
     at: Annotated[np.ndarray, "segments unknowns"]
-    nodes: int
+    curvature: Annotated[np.ndarray, "segments"]
+    knots: int
 
     def take(self, segments: slice) -> Condensed:
         """Return the loss of some of the segments."""
@@ -73,7 +80,8 @@ class Condensed:
             slope=self.slope[segments],
             constant=self.constant[segments],
             at=self.at[segments],
-            nodes=self.nodes,
+            curvature=self.curvature[segments],
+            knots=self.knots,
         )
 
     def loss(
@@ -90,12 +98,23 @@ DELAY_S = 0.01
 """Scale of the delay of poses."""
 
 
+def knots(nodes: int) -> Annotated[np.ndarray, "knots"]:
+    """Return the nodes of a segment that are knots of the acceleration: the last node is always one."""
+    return np.unique([*range(0, nodes, KNOT_STEPS), nodes - 1])
+
+
+def spline(nodes: int) -> Annotated[np.ndarray, "nodes knots"]:
+    """Return the accelerations at the nodes by those at the knots."""
+    at = knots(nodes)
+    return CubicSpline(at, np.eye(len(at)))(np.arange(nodes))
+
+
 def condense(  # noqa: PLR0913 (the data of one problem)
     engine: Rollouts | LaneRollouts,
     segments: Segments,
     *,
     start_sigma: Annotated[np.ndarray, "segments size"],
-    acceleration: Annotated[np.ndarray, "segments nodes 3"],
+    acceleration: Annotated[np.ndarray, "segments knots 3"],
     theta: Annotated[np.ndarray, "parameters"],
     free: Sequence[int],
     delay_s: float = 0.0,
@@ -104,7 +123,7 @@ def condense(  # noqa: PLR0913 (the data of one problem)
 ) -> Condensed:
     """Return the segments' loss, condensed about a residual acceleration, theta and a delay of poses.
 
-    acceleration: NED. start_sigma: scale of changes of the starts. free:
+    acceleration: NED, at the `knots`. start_sigma: scale of changes of the starts. free:
     entries of theta that are learned. taken_s: the latency that the measured states were given. An effect
     that makes poses late delays the measured states too, in addition to its effect on board. jobs: threads.
     """
@@ -113,10 +132,11 @@ def condense(  # noqa: PLR0913 (the data of one problem)
     delay = (delay_s + now_s - taken_s) / DELAY_S
     later = [latency_s(engine.phi, theta + unit[i]) - now_s for i in free]
     count, nodes, parameters = segments.count, segments.steps + 1, len(free)
-    size = 3 * nodes + parameters + 1
+    between_knots, by_knots = spline(nodes), 3 * acceleration.shape[1]
+    size = by_knots + parameters + 1
     hessian, slope = np.empty((count, size, size)), np.empty((count, size))
-    constant, at = np.empty(count), np.empty((count, size))
-    root = np.tile(np.sqrt(engine.weight / segments.steps), segments.steps)
+    constant, at, curvature = np.empty(count), np.empty((count, size)), np.empty(count)
+    weight = engine.weight / segments.steps
 
     def condense_block(first: int) -> None:
         block = np.arange(first, min(first + _BLOCK, count))
@@ -124,28 +144,44 @@ def condense(  # noqa: PLR0913 (the data of one problem)
         ahead = DELAY_S * _rates(part.measured, part.step_s)  # the change by which late poses lag
         x0 = part.x0.copy()
         x0[:, :12] += delay * ahead[:, 0]
-        base, moved, shifted = linearised(engine, part, x0, acceleration[block], theta, free, sigma)
-        late = (shifted[:, :, :12] @ (ahead[:, 0] / sigma[:, :12])[:, :, None])[:, :, 0]
-        late -= ahead[:, 1:].reshape(len(block), -1)
-        for i, by_typical_s in enumerate(later):
-            moved[:, :, 3 * nodes + i] += by_typical_s / DELAY_S * late
-        measured = (part.measured[:, 1:] + delay * ahead[:, 1:]).reshape(len(block), -1)
-        residual = (root * (measured - base))[:, :, None]
-        u = root[:, None] * np.concatenate([moved, late[:, :, None]], axis=2)
-        s = root[:, None] * shifted
-        transposed = s.swapaxes(1, 2) * segments.steps
+        linear = linearised(engine, part, x0, between_knots @ acceleration[block], theta, free, sigma)
+        chained = linear.chained(sigma[:, None, :] * np.eye(sigma.shape[1]))
+        by_theta, by_start = chained[..., :parameters], chained[..., parameters:]
+        late = by_start[..., :12] @ (ahead[:, 0] / sigma[:, :12])[:, None, :, None] - ahead[:, 1:, :, None]
+        by_theta += np.array(later) / DELAY_S * late
+        residual = part.measured[:, 1:] + delay * ahead[:, 1:] - linear.states[:, 1:, :12]
+        both = linear.products(
+            weight, np.concatenate([by_theta, late, residual[..., None], by_start], axis=3)
+        )
+        curvature[block] = np.einsum("sii->si", both)[:, : 3 * nodes].mean(1)
+        for _ in ("rows", "columns"):
+            both = _rows_by_knots(both, between_knots).swapaxes(1, 2)
         # The start's sigmas belong to one measurement; the loss is a mean over steps.
-        best = np.linalg.solve(transposed @ s + np.eye(s.shape[2]), transposed)
-        residual_over, u_over = residual - s @ (best @ residual), u - s @ (best @ u)
-        hessian[block] = u.swapaxes(1, 2) @ u_over
-        slope[block] = -(u.swapaxes(1, 2) @ residual_over)[:, :, 0]
-        constant[block] = (residual * residual_over).sum((1, 2))
-        at[block, : 3 * nodes] = acceleration[block].reshape(len(block), -1)
+        normal = both[:, size + 1 :, size + 1 :] + np.eye(sigma.shape[1]) / segments.steps
+        shared = both[:, : size + 1, size + 1 :]
+        over = both[:, : size + 1, : size + 1] - shared @ np.linalg.solve(normal, shared.swapaxes(1, 2))
+        hessian[block], slope[block] = over[:, :size, :size], -over[:, :size, size]
+        constant[block] = over[:, size, size]
+        at[block, :by_knots] = acceleration[block].reshape(len(block), -1)
 
     parallel.each(condense_block, range(0, count, _BLOCK), jobs if isinstance(engine, LaneRollouts) else 1)
-    at[:, 3 * nodes : -1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
+    at[:, by_knots:-1] = ((theta - engine.phi.theta_neutral) / scale)[list(free)]
     at[:, -1] = delay_s / DELAY_S
-    return Condensed(hessian=hessian, slope=slope, constant=constant, at=at, nodes=nodes)
+    return Condensed(
+        hessian=hessian,
+        slope=slope,
+        constant=constant,
+        at=at,
+        curvature=curvature,
+        knots=acceleration.shape[1],
+    )
+
+
+def _rows_by_knots(products: np.ndarray, between_knots: np.ndarray) -> np.ndarray:
+    """Return the products (segments, rows, columns) with 3 first rows for each knot, not each node."""
+    (count, _, columns), nodes = products.shape, len(between_knots)
+    by_knots = between_knots.T @ products[:, : 3 * nodes].reshape(count, nodes, -1)
+    return np.concatenate([by_knots.reshape(count, -1, columns), products[:, 3 * nodes :]], axis=1)
 
 
 def _rates(measured: np.ndarray, step_s: float) -> np.ndarray:

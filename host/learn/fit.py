@@ -17,14 +17,19 @@ from trimtab.host.models.network import Layout
 SLAB = 2.0
 """Prior sigma of a parameter in typical sizes, and of the delay in units of DELAY_S, for all data."""
 
-_MEMORY = 30
+_MEMORY = 50
 
-_LAST_LAYER = 0.3
-"""Unit in which the last layer's weights are searched. They change the loss most: in units of 1, L-BFGS takes
-a third more iterations to the same error on the paper's data.
+_TYPICAL = {"world": (3.0, 3.0, 3.0, 0.6, 0.6, 3.0), "body": (3.0, 3.0, 3.0)}
+"""Typical sizes of a network's inputs, by its frame: m/s, rad. The first weights are drawn for inputs divided
+by them. Drawn for inputs as they are, they give functions that vary fast with speed and little with tilt.
 """
 
-_PART = 16
+_UNIT, _LAST_UNIT = 0.5, 0.2
+"""Units in which weights are searched, in all layers and in the last one, for inputs in typical sizes. The
+last layer's weights change the loss most.
+"""
+
+_PART = 64
 """Segments whose loss is computed together."""
 
 
@@ -49,10 +54,10 @@ class Basis:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Examples:
-    """Condensed segments with v_ned and Theta at their nodes."""
+    """Condensed segments with v_ned and Theta at their knots."""
 
     condensed: Condensed
-    states: Annotated[np.ndarray, "segments nodes 6"]
+    states: Annotated[np.ndarray, "segments knots 6"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -73,13 +78,26 @@ class Fitted:
 
 
 def accelerations(
-    basis: Basis, xi: Annotated[np.ndarray, "weights"], states: Annotated[np.ndarray, "segments nodes 6"]
-) -> Annotated[np.ndarray, "segments nodes 3"]:
+    basis: Basis, xi: Annotated[np.ndarray, "weights"], states: Annotated[np.ndarray, "segments points 6"]
+) -> Annotated[np.ndarray, "segments points 3"]:
     """Return the network's acceleration, NED, at states."""
     if basis.layout is None:
         return np.zeros((*states.shape[:2], 3))
     flat = basis.layout.arrays(xi, states.reshape(-1, 6).T)
     return flat.T.reshape(*states.shape[:2], 3)
+
+
+def initial(layout: Layout, rng: np.random.Generator) -> Annotated[np.ndarray, "weights"]:
+    """Return random first weights, those of `layout.initial` for inputs in typical sizes."""
+    return layout.initial(rng) * _units(layout, 1.0, last=1.0)
+
+
+def _units(layout: Layout, unit: float, *, last: float) -> Annotated[np.ndarray, "weights"]:
+    """Return a unit for every weight, one for the last layer's; those of inputs over the typical sizes."""
+    units, places = np.full(layout.size, unit), list(layout.places())
+    units[places[-1].where] = last
+    units[places[0].where].reshape(places[0].rows, -1)[:, :-1] /= _TYPICAL[layout.frame]
+    return units
 
 
 def fit(
@@ -108,7 +126,7 @@ def fit(
 
     unit = np.ones(basis.size)
     if basis.layout is not None:
-        unit[list(basis.layout.places())[-1].where] = _LAST_LAYER
+        unit[: basis.weights] = _units(basis.layout, _UNIT, last=_LAST_UNIT)
 
     def scaled(w: np.ndarray) -> tuple[float, np.ndarray]:
         value, slope = problem(unit * w)
@@ -150,11 +168,11 @@ def fit(
 class _Part:
     """Some segments under one set of headings, small enough for a processor's cache.
 
-    inputs: v_ned and Theta of the nodes, turned. cos, sin: of the headings.
+    inputs: v_ned and Theta of the knots, turned. cos, sin: of the headings.
     """
 
     segments: slice
-    inputs: Annotated[np.ndarray, "6 nodes"]
+    inputs: Annotated[np.ndarray, "6 points"]
     cos: Annotated[np.ndarray, "segments 1"]
     sin: Annotated[np.ndarray, "segments 1"]
 
@@ -176,10 +194,9 @@ class _Problem:
         jobs: int = 1,
     ) -> None:
         self.basis, self.condensed, self.l2, self.jobs = basis, examples.condensed, l2, jobs
-        count, nodes = examples.states.shape[:2]
+        count = len(examples.states)
         headings = np.zeros((1, count)) if headings is None else headings
-        diagonal = np.einsum("sii->si", self.condensed.hessian)[:, : 3 * nodes]
-        self.scale = 1.0 / float(diagonal.mean()) if scale is None else scale
+        self.scale = 1.0 / float(self.condensed.curvature.mean()) if scale is None else scale
         self.last = np.inf
         self._share = self.scale / headings.size
         self._parts = [
@@ -222,25 +239,25 @@ class _Problem:
     ) -> tuple[float, np.ndarray]:
         """Return the sum of the losses of a part, and its slope, which is 0 unless asked for."""
         layout, condensed = self.basis.layout, self.condensed.take(part.segments)
-        count, nodes = len(condensed.constant), condensed.nodes
+        count, knots = len(condensed.constant), condensed.knots
         u, vjp = np.zeros_like(condensed.at), None
         if layout is not None:
             acceleration, vjp = layout.with_vjp(xi, part.inputs)
-            acceleration = _rotated(acceleration.T.reshape(count, nodes, 3), part.cos, -part.sin)
-            u[:, : 3 * nodes] = acceleration.reshape(count, -1)
-        u[:, 3 * nodes :] = others
+            acceleration = _rotated(acceleration.T.reshape(count, knots, 3), part.cos, -part.sin)
+            u[:, : 3 * knots] = acceleration.reshape(count, -1)
+        u[:, 3 * knots :] = others
         value, by_u = condensed.loss(u)
         gradient = np.zeros(self.basis.size)
         if slope:
             if vjp is not None:
-                costate = _rotated(by_u[:, : 3 * nodes].reshape(count, nodes, 3), part.cos, part.sin)
+                costate = _rotated(by_u[:, : 3 * knots].reshape(count, knots, 3), part.cos, part.sin)
                 gradient[: len(xi)] = vjp(costate.reshape(-1, 3).T)
-            gradient[len(xi) :] = by_u[:, 3 * nodes :].sum(0)[: self.basis.size - len(xi)]
+            gradient[len(xi) :] = by_u[:, 3 * knots :].sum(0)[: self.basis.size - len(xi)]
         return value, gradient
 
 
 def _part(states: np.ndarray, headings: np.ndarray, segments: slice) -> _Part:
-    """Return a part of the states (segments, nodes, 6), turned by the headings (segments,), rad."""
+    """Return a part of the states (segments, knots, 6), turned by the headings (segments,), rad."""
     headings = headings[segments, None]
     cos, sin = np.cos(headings), np.sin(headings)
     turned = states[segments].copy()
@@ -250,7 +267,7 @@ def _part(states: np.ndarray, headings: np.ndarray, segments: slice) -> _Part:
 
 
 def _rotated(vectors: np.ndarray, cos: np.ndarray, sin: np.ndarray) -> np.ndarray:
-    """Return vectors (segments, nodes, 3), NED, turned about the vertical."""
+    """Return vectors (segments, knots, 3), NED, turned about the vertical."""
     out = vectors.copy()
     out[..., 0] = cos * vectors[..., 0] - sin * vectors[..., 1]
     out[..., 1] = sin * vectors[..., 0] + cos * vectors[..., 1]

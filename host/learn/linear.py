@@ -6,6 +6,7 @@ A step has few inputs, so this takes about as long as forty roll-outs, for any n
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
@@ -22,6 +23,71 @@ _SHARE = 0.02
 """Step of differences by a parameter, in typical sizes, and by a state, in sigmas."""
 
 
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Linearised:
+    """Roll-outs of segments, linearised step by step.
+
+    states: the roll-outs. The slopes of the end of each step are by its start, by the accelerations at its
+    start and at its end, and by the free parameters in typical sizes.
+    """
+
+    states: Annotated[np.ndarray, "segments nodes size"]
+    by_state: Annotated[np.ndarray, "segments steps size size"]
+    by_first: Annotated[np.ndarray, "segments steps size 3"]
+    by_second: Annotated[np.ndarray, "segments steps size 3"]
+    by_theta: Annotated[np.ndarray, "segments steps size parameters"]
+
+    def chained(
+        self, start: Annotated[np.ndarray, "segments size columns"]
+    ) -> Annotated[np.ndarray, "segments steps 12 columns"]:
+        """Return the slopes of the predictions by the free parameters, then by changes of the start."""
+        count, steps, size, parameters = self.by_theta.shape
+        slope = np.concatenate([np.zeros((count, size, parameters)), start], axis=2)
+        slopes = np.empty((count, steps, 12, slope.shape[2]))
+        for k in range(steps):
+            slope = self.by_state[:, k] @ slope
+            slope[:, :, :parameters] += self.by_theta[:, k]
+            slopes[:, k] = slope[:, :12]
+        return slopes
+
+    def products(
+        self,
+        weight: Annotated[np.ndarray, "12"],
+        others: Annotated[np.ndarray, "segments steps 12 columns"],
+    ) -> Annotated[np.ndarray, "segments columns columns"]:
+        """Return the weighted products of all pairs of slopes of the predictions, summed over the steps.
+
+        The first columns are the slopes by the accelerations, 3 for each node. `others` follow them. The sums
+        run backwards in time, as in an adjoint, so the first slopes themselves are never formed.
+        """
+        count, steps, size, _ = self.by_state.shape
+        first = 3 * (steps + 1)
+        costate = np.zeros((count, size, first + others.shape[3]))
+        out = np.zeros((count, costate.shape[2], costate.shape[2]))
+        flat = (np.sqrt(weight)[:, None] * others).reshape(count, -1, others.shape[3])
+        out[:, first:, first:] = flat.swapaxes(1, 2) @ flat
+        weighted = weight[:, None] * others
+        by_later = np.zeros((count, size, size))  # products of the slopes by the state at a node
+        for k in range(steps, -1, -1):
+            node, columns = slice(3 * k, 3 * k + 3), slice(3 * k, None)
+            if k < steps:
+                turned = self.by_state[:, k].swapaxes(1, 2)
+                out[:, node, columns] = self.by_first[:, k].swapaxes(1, 2) @ costate[:, :, columns]
+                costate[:, :, columns] = turned @ costate[:, :, columns]
+                by_later = turned @ by_later @ self.by_state[:, k]
+            if k > 0:
+                arriving, pushed = self.by_second[:, k - 1], self.by_first[:, k - 1]
+                if k > 1:
+                    pushed = pushed + self.by_state[:, k - 1] @ self.by_second[:, k - 2]
+                by_later[:, :12, :12] += np.diag(weight)
+                costate[:, :12, node] += weight[:, None] * arriving[:, :12]
+                costate[:, :12, first:] += weighted[:, k - 1]
+                out[:, node, columns] += arriving.swapaxes(1, 2) @ costate[:, :, columns]
+                costate[:, :, 3 * k - 3 : 3 * k] = by_later @ pushed
+            out[:, columns, node] = out[:, node, columns].swapaxes(1, 2)
+        return out
+
+
 def linearised(
     engine: Rollouts | LaneRollouts,
     segments: Segments,
@@ -30,36 +96,19 @@ def linearised(
     theta: Annotated[np.ndarray, "parameters"],
     free: Sequence[int],
     sigma: Annotated[np.ndarray, "segments size"],
-) -> tuple[
-    Annotated[np.ndarray, "segments rows"],
-    Annotated[np.ndarray, "segments rows columns"],
-    Annotated[np.ndarray, "segments rows size"],
-]:
-    """Return the predictions, 12 rows for each step, with their slopes.
+) -> Linearised:
+    """Return the roll-outs from `start`, linearised by central differences of each step.
 
-    The slopes are by node accelerations and free parameters, and by sigmas of the start. Each step is
-    linearised by central differences about the roll-out, and the steps are chained.
+    sigma: scale of changes of the state.
     """
-    count, nodes = acceleration.shape[:2]
-    steps, size = nodes - 1, engine.phi.size
-    thetas = np.repeat(theta[None], count, axis=0)
+    thetas = np.repeat(theta[None], segments.count, axis=0)
     states = engine.pushed(segments)(start, thetas, between(acceleration))
     by_state, by_first, by_second, by_theta = _step_slopes(
         engine, segments, states, acceleration, theta, free, sigma
     )
-    moved = np.empty((count, steps, 12, 3 * nodes + len(free)))
-    shifted = np.empty((count, steps, 12, size))
-    by_u, by_start = np.zeros((count, size, 3 * nodes + len(free))), sigma[:, None, :] * np.eye(size)
-    for k in range(steps):
-        reached = 3 * (k + 1)
-        by_u[:, :, :reached] = by_state[:, k] @ by_u[:, :, :reached]
-        by_u[:, :, 3 * nodes :] = by_state[:, k] @ by_u[:, :, 3 * nodes :] + by_theta[:, k]
-        by_u[:, :, 3 * k : reached] += by_first[:, k]
-        by_u[:, :, reached : reached + 3] += by_second[:, k]
-        by_start = by_state[:, k] @ by_start
-        moved[:, k], shifted[:, k] = by_u[:, :12], by_start[:, :12]
-    base = states[:, 1:, :12].reshape(count, -1)
-    return base, moved.reshape(count, 12 * steps, -1), shifted.reshape(count, 12 * steps, -1)
+    return Linearised(
+        states=states, by_state=by_state, by_first=by_first, by_second=by_second, by_theta=by_theta
+    )
 
 
 def _step_slopes(

@@ -9,8 +9,8 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.learn.adjoint import loss_of
-from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, latency_s
-from trimtab.host.learn.fit import Basis, Examples, Fitted, accelerations, fit
+from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, knots, latency_s
+from trimtab.host.learn.fit import Basis, Examples, Fitted, accelerations, fit, initial
 from trimtab.host.learn.lanes import rollouts
 from trimtab.host.learn.linear import effect_scales
 from trimtab.host.learn.starts import start_sigma
@@ -73,7 +73,7 @@ def train_condensed(  # noqa: PLR0913 (the data of one problem)
     basis = Basis(layout=settings.layout, parameters=len(chosen), delay=settings.delay)
     start = np.zeros(basis.size)
     if settings.layout is not None:
-        start[: basis.weights] = settings.layout.initial(rng)
+        start[: basis.weights] = initial(settings.layout, rng)
     start[basis.weights : basis.weights + len(chosen)] = (theta - phi.theta_neutral)[chosen] / scale
     headings = random_headings(settings, train_on.count, rng)
     condenser = _Condenser(phi, theta, basis, chosen, settings, train_on.step_s, weight, jobs)
@@ -143,7 +143,7 @@ class _Condenser:
         self, segments: Segments, network: np.ndarray, theta: np.ndarray, delay_s: float
     ) -> Examples:
         """Return the segments' condensed loss about these weights, parameters and delay."""
-        states = segments.measured[:, :, 3:9]
+        states = segments.measured[:, knots(segments.steps + 1), 3:9]
         condensed = condense(
             self._engine,
             segments,

@@ -70,8 +70,9 @@ def free_starts(
         block = np.arange(first, min(first + _BLOCK, segments.count))
         part = segments.take(block)
         still = np.zeros((part.count, part.steps + 1, 3))
-        _, _, shifted = linearised(engine, part, part.x0, still, theta, (), sigma[block])
-        G = root[:, None] * shifted
+        linear = linearised(engine, part, part.x0, still, theta, (), sigma[block])
+        shifted = linear.chained(sigma[block, None, :] * np.eye(size))
+        G = root[:, None] * shifted.reshape(part.count, -1, size)
         turned = G.swapaxes(1, 2)
         normal = turned @ G + np.eye(size)
         gain[block] = np.linalg.solve(normal, turned * root)

@@ -15,7 +15,7 @@ import numpy as np
 
 from trimtab.host.codegen import NUMPY
 from trimtab.host.learn.condensed import Condensed, CondensedSettings
-from trimtab.host.learn.fit import Basis, Examples, fit
+from trimtab.host.learn.fit import Basis, Examples, fit, initial
 from trimtab.host.learn.learn import SEGMENT_STEPS, region
 from trimtab.host.learn.quick import random_headings
 from trimtab.host.log import Flight
@@ -76,7 +76,7 @@ def learn_supervised(
         basis,
         label_examples(nodes[train], labels[train]),
         label_examples(nodes[validation], labels[validation]),
-        settings.layout.initial(rng),
+        initial(settings.layout, rng),
         settings,
         headings=random_headings(settings, len(train), rng),
     )
@@ -113,7 +113,8 @@ def label_examples(
             slope=-(jacobian.swapaxes(1, 2) @ label[:, :, None])[:, :, 0],
             constant=(label**2).sum(1),
             at=np.zeros((count, jacobian.shape[2])),
-            nodes=nodes,
+            curvature=np.full(count, scale**2),
+            knots=nodes,
         ),
         states=states,
     )

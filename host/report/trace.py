@@ -23,19 +23,9 @@ VERDICTS = {
 }
 
 
-def page(
-    result: Trace,
-    flights: Sequence[Flight],
-    held_out: Sequence[Flight],
-    answer: Mapping[str, Any],
-    extra: Mapping[str, Any] | None = None,
-) -> str:
-    """Return the HTML of the report.
-
-    `extra` adds sections, a list of {title, text, figures, table} under "sections", and entries of the JSON
-    data under "data".
-    """
-    pictures = []
+def pictures(result: Trace) -> list[figures.Figure]:
+    """Return the figures of errors and ranking, for `page`."""
+    drawn = []
     if result.before:
         worst = int(np.argmax([np.linalg.norm(e.p_error_ned, axis=1).mean() for e in result.before]))
         panels = [
@@ -45,16 +35,32 @@ def page(
         caption = (
             "Path of the held-out flight with the greatest error before, coloured by the prediction error."
         )
-        pictures.append(figures.paths(panels, caption))
-        pictures.append(figures.residuals(result.before, result.after, result.noise_floor["position_rmse_m"]))
-    pictures.append(figures.ranking(result.evidence, [e.name for e in result.effects]))
+        drawn.append(figures.paths(panels, caption))
+        drawn.append(figures.residuals(result.before, result.after, result.noise_floor["position_rmse_m"]))
+    drawn.append(figures.ranking(result.evidence, [e.name for e in result.effects]))
+    return drawn
+
+
+def page(
+    result: Trace,
+    flights: Sequence[Flight],
+    held_out: Sequence[Flight],
+    answer: Mapping[str, Any],
+    drawn: Sequence[figures.Figure],
+    extra: Mapping[str, Any] | None = None,
+) -> str:
+    """Return the HTML of the report.
+
+    `drawn` are the `pictures` of the result. `extra` adds sections, a list of {title, text, figures, table}
+    under "sections", and entries of the JSON data under "data".
+    """
     return render(
         "page.html.j2",
         title=VERDICTS[result.verdict],
         sentence=words.verdict(result),
         words=words,
         result=result,
-        figures=pictures,
+        figures=drawn,
         outside=None if result.description is None else figures.dependence(result.description),
         errors=_table(result),
         flights=flights,

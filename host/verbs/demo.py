@@ -32,14 +32,12 @@ def command(
     """
     import time
 
-    from trimtab.host.apps.demo import report
-    from trimtab.host.apps.demo.session import WORLD, DemoRequest, run_demo
+    from trimtab.host.apps.demo.flights import WORLD, Airfield
+    from trimtab.host.apps.demo.seeds import world_seed
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.parallel import cores
-    from trimtab.host.effects import load_effects
-    from trimtab.host.trace.words import result_lines
-    from trimtab.host.verbs.trace import manoeuvres
+    from trimtab.host.base.workers import workers
     from trimtab.host.workspace import open_workspace
 
     begin_s = time.perf_counter()
@@ -48,14 +46,24 @@ def command(
     space = open_workspace(workspace)
     airframe = space.vehicle(vehicle)
     folder = free_folder(space.root, output, force)
-    outcome = run_demo(
-        DemoRequest(
-            vehicle=airframe, folder=folder, seed=seed, world=world or WORLD, force=force, jobs=cores()
-        ),
-        load_effects(space.root),
-        on_message=say,
-        manoeuvres=lambda: manoeuvres(space, airframe),
-    )
+    jobs, world = cores(), world or WORLD
+    field = Airfield(vehicle=airframe, world=world, world_seed=world_seed(seed), session={})
+    with workers(jobs) as pool:
+        for _ in range(jobs if jobs > 1 else 0):  # they start up while this one imports the rest and plans
+            pool.submit(field.check)
+        from trimtab.host.apps.demo import report
+        from trimtab.host.apps.demo.session import DemoRequest, run_demo
+        from trimtab.host.effects import load_effects
+        from trimtab.host.trace.words import result_lines
+        from trimtab.host.verbs.trace import manoeuvres
+
+        outcome = run_demo(
+            DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world, force=force),
+            load_effects(space.root),
+            pool,
+            on_message=say,
+            manoeuvres=lambda: manoeuvres(space, airframe),
+        )
     seconds = time.perf_counter() - begin_s
     say(
         *result_lines(outcome.result),

@@ -27,6 +27,8 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Blob, FeedForward, Reference
 
 TRUTH_SUFFIX = ".truth.json"
+WORLD = "drawn-several"
+"""World with two or three effects, drawn from the seed."""
 
 
 @dataclass(frozen=True, kw_only=True)

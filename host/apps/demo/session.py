@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import Executor
 from contextlib import closing
 from dataclasses import dataclass
@@ -17,7 +17,7 @@ from trimtab.host.apps.demo import report
 from trimtab.host.apps.demo.applied import to_apply
 from trimtab.host.apps.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
 from trimtab.host.apps.demo.files import FEEDFORWARD_NAME, JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
-from trimtab.host.apps.demo.flights import Airfield, upload_through_pty
+from trimtab.host.apps.demo.flights import WORLD, Airfield, upload_through_pty
 from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_first
 from trimtab.host.apps.demo.predict import predicted_rmse_m
 from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
@@ -25,21 +25,20 @@ from trimtab.host.apps.demo.seeds import host_seed, world_seed
 from trimtab.host.apps.demo.steps import OnMessage, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
-from trimtab.host.base.workers import workers
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan
 from trimtab.host.plan.residual import ResidualModel
-from trimtab.host.report.trace import page
+from trimtab.host.report.figures import Figure
+from trimtab.host.report.trace import page, pictures
 from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import Manoeuvres, run
 from trimtab.host.vehicle import Vehicle
-from trimtab.protocol.blobs import FeedForward, Reference
+from trimtab.protocol.blobs import FeedForward
 
-WORLD = "drawn-several"
 REPEATS = 2
 FAILURES = (Refused, SolverError, FlightFailed)
 """Errors of a second plan or flight that do not end the demo."""
@@ -50,8 +49,7 @@ class DemoRequest:
     """Settings of a demo.
 
     `folder` receives every file and is made if missing; `force` overwrites files. If `routes` is None, they
-    are drawn from the seed. `repeats` is the number of repeat flights of each reference to learn from. `jobs`
-    is the number of processes; it changes no file.
+    are drawn from the seed. `repeats` is the number of repeat flights of each reference to learn from.
     """
 
     vehicle: Vehicle
@@ -61,7 +59,6 @@ class DemoRequest:
     routes: DemoRoutes | None = None
     repeats: int = REPEATS
     force: bool = False
-    jobs: int = 1
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -82,17 +79,27 @@ class Outcome:
 def run_demo(
     request: DemoRequest,
     effects: Mapping[str, Effect],
+    pool: Executor,
     *,
     on_message: OnMessage = lambda line: None,
     manoeuvres: Manoeuvres | None = None,
 ) -> Outcome:
-    """Run a demo; its files are in the folder of the request.
+    """Run a demo; its files are in the folder of the request. The processes of the pool change no file.
 
     Raises ConfigurationError if there is no such world, Refused or PlanUnsolved for a first plan,
     FlightFailed for a failsafe before the trace, and the errors of tracing. Logs of finished flights stay
     readable.
     """
-    return _Demo(request, effects, on_message, manoeuvres).run()
+    return _Demo(request, effects, pool, on_message, manoeuvres).run()
+
+
+@dataclass(frozen=True, eq=False)
+class _Order:
+    """A flight of the second part of the demo."""
+
+    label: str
+    planned: Planned
+    feedforward: FeedForward | None = None
 
 
 class _Demo:
@@ -100,11 +107,13 @@ class _Demo:
         self,
         request: DemoRequest,
         effects: Mapping[str, Effect],
+        pool: Executor,
         on_message: OnMessage,
         manoeuvres: Manoeuvres | None,
     ) -> None:
         self._request = request
         self._effects = effects
+        self._pool = pool
         self._on_message = on_message
         self._manoeuvres = manoeuvres
         self._seed = host_seed(request.seed)
@@ -130,16 +139,13 @@ class _Demo:
             f"every file goes to {request.folder}"
         )
         request.folder.mkdir(parents=True, exist_ok=True)
-        with workers(request.jobs) as pool:
-            for _ in range(request.jobs if request.jobs > 1 else 0):  # they start up while this one plans
-                pool.submit(self._field.check)
-            learning, held_out = self._plan()
-            used, unseen = self._fly(learning, held_out, pool)
+        learning, held_out = self._plan()
+        used, unseen = self._fly(learning, held_out)
         result = self._trace([flight for _, flight in used], [flight for _, flight in unseen])
         model_path = self._request.folder / MODEL_NAME
         write_model(result.model, model_path, force=self._request.force)
-        comparison = self._again(learning, used, result)
-        answer = self._report(result, comparison, used, unseen)
+        comparison, drawn = self._again(learning, used, result)
+        answer = self._report(result, comparison, used, unseen, drawn)
         return Outcome(
             result=result,
             comparison=comparison,
@@ -166,11 +172,20 @@ class _Demo:
         return plans[:count], plans[count:]
 
     def _fly(
-        self, learning: list[Planned], held_out: list[Planned], pool: Executor
+        self, learning: list[Planned], held_out: list[Planned]
     ) -> tuple[list[tuple[Planned, Flight]], list[tuple[Planned, Flight]]]:
-        """Fly every plan. The first reference goes on board through a pty, the others in lock-step."""
+        """Fly every plan. The first reference goes on board through a pty, the others in lock-step.
+
+        The others fly while the first goes on board, which takes its time on the wire.
+        """
         field, first = self._field, learning[0]
         reference = first.plan.reference
+        queue = [planned for planned in learning for _ in range(self._request.repeats)] + held_out
+        begun = [(planned, *self._next_flight(planned)) for planned in queue]
+        running = [
+            self._pool.submit(field.fly, planned.plan.reference, number, log)
+            for planned, number, log in begun[1:]
+        ]
         with self._steps.step("upload") as (bar, done):
             simulated = field.power_up(reference, 1)
             bar.advance(0.0, first.name)
@@ -179,21 +194,16 @@ class _Demo:
                 f"reference {first.name} through pyserial at {port}: {len(reference.to_bytes())} B in "
                 f"{sent.frames_sent} frames, checked on board and live"
             )
-        queue = [planned for planned in learning for _ in range(self._request.repeats)] + held_out
         with self._steps.step("fly", len(queue)) as (bar, done):
-            begun = [(first, self._next_flight(first))]
-            others = [(planned, self._next_flight(planned)) for planned in queue[1:]]
-            running = [
-                pool.submit(field.fly, planned.plan.reference, number, log)
-                for planned, (number, log) in others
-            ]
             bar.advance(0.0, first.name)
-            self._fly_on(simulated, reference, *begun[0][1])
+            with closing(simulated):
+                simulated.power_cycle(1)  # it starts with its memory intact
+                field.fly_with(simulated, reference, *begun[0][1:])
             bar.advance(1.0, first.name)
-            for (planned, _), flight in zip(others, running, strict=True):
+            for (planned, *_), flight in zip(begun[1:], running, strict=True):
                 flight.result()
                 bar.advance(1.0, planned.name)
-            flown = [(planned, read_flight(log)) for planned, (_, log) in (*begun, *others)]
+            flown = [(planned, read_flight(log)) for planned, _, log in begun]
             count = len(queue) - len(held_out)
             errors = [tracked("", f, p, latency_s=0.0).stamped_rmse_m for p, f in flown]
             done(
@@ -224,8 +234,11 @@ class _Demo:
 
     def _again(
         self, learning: list[Planned], used: list[tuple[Planned, Flight]], result: Trace
-    ) -> Comparison:
-        """Fly the fastest route again: with a new plan, and then with the effects applied, if possible."""
+    ) -> tuple[Comparison, Sequence[Figure]]:
+        """Fly the fastest route again: with a new plan, and then with the effects applied, if possible.
+
+        Return the flights' comparison and the figures of the trace, which are drawn while they fly.
+        """
         route = fastest(learning)
         latency_s = latency_of(result)
         earlier = [flight for planned, flight in used if planned is route]
@@ -235,39 +248,29 @@ class _Demo:
         )
         if not result.effects:
             why = "nothing was traced"
-            return Comparison(first=first, latency_s=latency_s, no_new_plan=why, no_applied=why)
+            nothing = Comparison(first=first, latency_s=latency_s, no_new_plan=why, no_applied=why)
+            return nothing, pictures(result)
         model = result.model
 
         def predict(plan: Plan, feedforward: FeedForward | None = None) -> float:
             return predicted_rmse_m(earlier[0], plan.reference, model, self._effects, feedforward)
 
-        def fly(label: str, planned: Planned, feedforward: FeedForward | None) -> tuple[Tracked | None, str]:
-            """Return the flight and an empty reason, or None and the reason of the failure."""
-            with self._steps.step("fly again") as (_, done):
-                predicted_m = predict(planned.plan, feedforward)
-                try:
-                    flight = self._flight(planned, feedforward, model.id)
-                except FAILURES as error:
-                    why = self._failed(error)
-                    done(f"{label}: {why}")
-                    return None, why
-                again = tracked(label, flight, planned, latency_s=latency_s, predicted_rmse_m=predicted_m)
-                before_mm, after_mm = 1e3 * pooled_rmse_m(first), 1e3 * again.rmse_m
-                done(f"{label}: tracking error {before_mm:.1f} to {after_mm:.1f} mm RMSE")
-            return again, ""
-
-        new_plan, applied = None, None
         second, no_new_plan = self._plan_again(route, model, predict)
-        if second is not None:
-            new_plan, no_new_plan = fly("new plan", second, None)
         flown, label = (route, "first plan") if second is None else (second, "new plan")
         feedforward, no_applied = to_apply(
             model, self._request.vehicle, self._effects, partial(predict, flown.plan)
         )
         if feedforward is not None:
             self._files.write(FEEDFORWARD_NAME, feedforward.to_bytes())
-            applied, no_applied = fly(f"{label}, effects applied", flown, feedforward)
-        return Comparison(
+        new_order = None if second is None else _Order("new plan", second)
+        applied_order = (
+            None if feedforward is None else _Order(f"{label}, effects applied", flown, feedforward)
+        )
+        orders = [order for order in (new_order, applied_order) if order is not None]
+        landed, drawn = self._fly_again(orders, first, result, predict)
+        new_plan, no_new_plan = landed.get(new_order, (None, no_new_plan))
+        applied, no_applied = landed.get(applied_order, (None, no_applied))
+        comparison = Comparison(
             first=first,
             latency_s=latency_s,
             new_plan=new_plan,
@@ -275,6 +278,57 @@ class _Demo:
             no_new_plan=no_new_plan or None,
             no_applied=no_applied or None,
         )
+        return comparison, drawn
+
+    def _fly_again(
+        self,
+        orders: Sequence[_Order],
+        first: Sequence[Tracked],
+        result: Trace,
+        predict: Callable[[Plan, FeedForward | None], float],
+    ) -> tuple[dict[_Order | None, tuple[Tracked | None, str]], Sequence[Figure]]:
+        """Fly all at once. Return each flight and an empty reason, or None and the reason of its failure.
+
+        The figures of the trace are drawn meanwhile.
+        """
+        if not orders:
+            return {}, pictures(result)
+        landed: dict[_Order | None, tuple[Tracked | None, str]] = {}
+        figures: list[str] = []
+        with self._steps.step("fly again", len(orders)) as (bar, done):
+            begun = [(order, *self._next_flight(order.planned)) for order in orders]
+            running = [
+                self._pool.submit(
+                    self._field.fly,
+                    order.planned.plan.reference,
+                    number,
+                    log,
+                    feedforward=order.feedforward,
+                    model_id=result.model.id,
+                )
+                for order, number, log in begun
+            ]
+            drawn = pictures(result)
+            for (order, _, log), flight in zip(begun, running, strict=True):
+                predicted_m = predict(order.planned.plan, order.feedforward)
+                try:
+                    flight.result()
+                except FAILURES as error:
+                    landed[order] = None, self._failed(error)
+                    figures.append(f"{order.label}: {landed[order][1]}")
+                else:
+                    again = tracked(
+                        order.label,
+                        read_flight(log),
+                        order.planned,
+                        latency_s=latency_of(result),
+                        predicted_rmse_m=predicted_m,
+                    )
+                    landed[order] = again, ""
+                    figures.append(f"{order.label} {1e3 * again.rmse_m:.1f} mm")
+                bar.advance()
+            done(f"tracking error RMSE first {1e3 * pooled_rmse_m(first):.1f} mm, {', '.join(figures)}")
+        return landed, drawn
 
     def _plan_again(
         self, route: Planned, model: Model, predict: Callable[[Plan], float]
@@ -307,6 +361,7 @@ class _Demo:
         comparison: Comparison,
         used: list[tuple[Planned, Flight]],
         unseen: list[tuple[Planned, Flight]],
+        drawn: Sequence[Figure],
     ) -> dict[str, Any]:
         with self._steps.step("report") as (_, done):
             answer = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
@@ -315,6 +370,7 @@ class _Demo:
                 [flight for _, flight in used],
                 [flight for _, flight in unseen],
                 answer,
+                drawn,
                 report.sections(comparison, result, self._request.vehicle),
             )
             self._files.write(REPORT_NAME, html)
@@ -329,17 +385,6 @@ class _Demo:
         """Return the number and the log of the next flight."""
         self._flights += 1
         return self._flights, self._files.log(self._flights, planned)
-
-    def _fly_on(self, simulated: Any, reference: Reference, number: int, log: Path) -> None:
-        """Fly what is on board: the vehicle starts from power-up with its memory intact."""
-        with closing(simulated):
-            simulated.power_cycle(number)
-            self._field.fly_with(simulated, reference, number, log)
-
-    def _flight(self, planned: Planned, feedforward: FeedForward | None, model_id: str) -> Flight:
-        number, log = self._next_flight(planned)
-        self._field.fly(planned.plan.reference, number, log, feedforward=feedforward, model_id=model_id)
-        return read_flight(log)
 
     def _failed(self, error: TrimtabError) -> str:
         """Return the error's text without the folder's path; the first error decides the demo's exit code."""

@@ -10,10 +10,10 @@ import pytest
 from trimtab.host.codegen import find_compiler
 from trimtab.host.effects import load_effects
 from trimtab.host.learn.adjoint import Rollouts, loss_of
-from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense
-from trimtab.host.learn.fit import Basis, Examples, accelerations, fit
+from trimtab.host.learn.condensed import DELAY_S, CondensedSettings, condense, knots, spline
+from trimtab.host.learn.fit import Basis, Examples, accelerations, fit, initial
 from trimtab.host.learn.lanes import LaneRollouts, rollouts
-from trimtab.host.learn.linear import between, effect_scales
+from trimtab.host.learn.linear import Linearised, between, effect_scales
 from trimtab.host.learn.quick import train_condensed
 from trimtab.host.learn.starts import start_sigma
 from trimtab.host.learn.train import LOSS_SIGMA
@@ -31,6 +31,7 @@ BARE = Phi(vehicle=VEHICLE, estimator=False)
 SMALL = Layout(hidden=(1,))
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS = 20
+KNOTS = knots(STEPS + 1)
 
 
 @pytest.fixture(scope="module")
@@ -51,17 +52,69 @@ def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndar
 
 
 def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
-    """The loss of true roll-outs from the measured starts with accelerations (S, N + 1, 3) at the nodes."""
+    """The loss of true roll-outs from the measured starts with accelerations (S, knots, 3) at the knots."""
     engine = Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
     thetas = np.repeat(theta[None], segments.count, axis=0)
-    states = engine.pushed(segments)(segments.x0, thetas, between(push))
+    states = engine.pushed(segments)(segments.x0, thetas, between(spline(STEPS + 1) @ push))
     return loss_of(segments, states.transpose(1, 0, 2), WEIGHT)
+
+
+def test_products_are_those_of_slopes_that_are_formed():
+    """The oracle chains the steps for every column, as the roll-outs do."""
+    rng = np.random.default_rng(3)
+    count, steps, size, parameters, others = 2, 4, 14, 2, 3
+    shapes = ((size, size), (size, 3), (size, 3), (size, parameters))
+    by_state, by_first, by_second, by_theta = (rng.standard_normal((count, steps, *s)) for s in shapes)
+    linear = Linearised(
+        states=np.zeros((count, steps + 1, size)),
+        by_state=by_state,
+        by_first=by_first,
+        by_second=by_second,
+        by_theta=by_theta,
+    )
+    weight, columns = rng.uniform(0.5, 2.0, 12), rng.standard_normal((count, steps, 12, others))
+    slopes = np.zeros((count, steps + 1, size, 3 * (steps + 1) + parameters))
+    for k in range(steps):
+        slopes[:, k + 1] = by_state[:, k] @ slopes[:, k]
+        slopes[:, k + 1, :, 3 * k : 3 * k + 3] += by_first[:, k]
+        slopes[:, k + 1, :, 3 * k + 3 : 3 * k + 6] += by_second[:, k]
+        slopes[:, k + 1, :, -parameters:] += by_theta[:, k]
+    chained = linear.chained(np.zeros((count, size, 1)))
+    np.testing.assert_allclose(chained[..., :parameters], slopes[:, 1:, :12, -parameters:])
+    assert not chained[..., parameters:].any()
+    every = np.concatenate([slopes[:, 1:, :12, :-parameters], columns], axis=3).reshape(count, 12 * steps, -1)
+    expected = every.swapaxes(1, 2) @ (np.tile(weight, steps)[:, None] * every)
+    np.testing.assert_allclose(linear.products(weight, columns), expected, atol=1e-9 * abs(expected).max())
+
+
+@pytest.mark.parametrize("nodes", [21, 50])
+def test_spline_has_the_values_of_its_knots_and_follows_a_turn_of_the_attitude(nodes):
+    """At 12 rad/s, the bandwidth of the attitude loop: within 2 % away from the ends."""
+    t_s = 0.02 * np.arange(nodes)
+    at = knots(nodes)
+    assert at[0] == 0
+    assert at[-1] == nodes - 1
+    np.testing.assert_allclose(spline(nodes)[at], np.eye(len(at)), atol=1e-12)
+    np.testing.assert_allclose(spline(nodes) @ t_s[at] ** 3, t_s**3, atol=1e-12)
+    wave = np.sin(12.0 * t_s)
+    assert abs(spline(nodes) @ wave[at] - wave)[6:-6].max() < 0.02
+
+
+@pytest.mark.parametrize("frame", ["world", "body"])
+def test_first_weights_see_inputs_in_typical_sizes(frame):
+    layout = Layout(hidden=(4, 3), frame=frame)
+    (first, *_), (drawn, *_) = (
+        layout.layers(xi)
+        for xi in (initial(layout, np.random.default_rng(5)), layout.initial(np.random.default_rng(5)))
+    )
+    typical = [3.0, 3.0, 3.0, 0.6, 0.6, 3.0][: layout.sizes[0]]
+    np.testing.assert_allclose(first[0] * typical, drawn[0])
 
 
 def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
     few = segments.take([0, 3])
     rng = np.random.default_rng(0)
-    at, theta = 0.2 * rng.standard_normal((2, STEPS + 1, 3)), np.array([0.1, 0.2, 0.05])
+    at, theta = 0.2 * rng.standard_normal((2, len(KNOTS), 3)), np.array([0.1, 0.2, 0.05])
     condensed = condensed_about(few, at, theta, held=1e-6)
     u = condensed.at.copy()
     assert condensed.loss(u)[0] == pytest.approx(rolled(few, at, theta), rel=1e-9)
@@ -76,7 +129,7 @@ def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
 
 def test_condensed_loss_of_free_starts_is_less_and_its_slope_is_its_difference(segments):
     few = segments.take([0, 3])
-    still, theta = np.zeros((2, STEPS + 1, 3)), np.zeros(3)
+    still, theta = np.zeros((2, len(KNOTS), 3)), np.zeros(3)
     held, free = (condensed_about(few, still, theta, held=held) for held in (1e-6, 1.0))
     assert free.loss(free.at)[0] < held.loss(held.at)[0]
     rng = np.random.default_rng(1)
@@ -99,7 +152,7 @@ def test_both_engines_condense_alike(segments, require):
             engine,
             few,
             start_sigma=start_sigma(PHI, few),
-            acceleration=np.zeros((1, STEPS + 1, 3)),
+            acceleration=np.zeros((1, len(KNOTS), 3)),
             theta=theta,
             free=range(3),
         )
@@ -117,9 +170,9 @@ def test_slope_of_what_is_learned_is_its_difference(segments, frame):
     basis = Basis(layout=layout, parameters=3, delay=True)
     rng = np.random.default_rng(2)
     headings = rng.uniform(-3.0, 3.0, (2, 3))
-    states = few.measured[:, :, 3:9]
+    states = few.measured[:, KNOTS, 3:9]
     examples = Examples(
-        condensed=condensed_about(few, np.zeros((3, STEPS + 1, 3)), np.zeros(3)), states=states
+        condensed=condensed_about(few, np.zeros((3, len(KNOTS), 3)), np.zeros(3)), states=states
     )
     from trimtab.host.learn.fit import _Problem
 
@@ -208,11 +261,11 @@ def test_fit_ends_early_where_validation_does_not_improve(segments):
             engine,
             part,
             start_sigma=start_sigma(BARE, part),
-            acceleration=np.zeros((part.count, STEPS + 1, 3)),
+            acceleration=np.zeros((part.count, len(KNOTS), 3)),
             theta=np.zeros(0),
             free=(),
         )
-        phi_examples.append(Examples(condensed=condensed, states=part.measured[:, :, 3:9]))
+        phi_examples.append(Examples(condensed=condensed, states=part.measured[:, KNOTS, 3:9]))
     start = np.zeros(basis.size)
     start[:] = Layout(hidden=(4,)).initial(np.random.default_rng(0))
     found = fit(

@@ -13,7 +13,7 @@ import numpy as np
 from trimtab.host.apps.paper.learning.flights import STEP_S, Flights, accelerations, cut
 from trimtab.host.apps.paper.learning.measure import Candidate
 from trimtab.host.learn.condensed import CondensedSettings
-from trimtab.host.learn.fit import Basis, Examples, fit
+from trimtab.host.learn.fit import Basis, Examples, fit, initial
 from trimtab.host.learn.linear import effect_scales
 from trimtab.host.learn.supervised import label_examples
 from trimtab.host.models.network import Network
@@ -51,7 +51,7 @@ def train_supervised(
     basis = Basis(layout=settings.layout, parameters=len(phi.theta_names), delay=False)
     start = np.zeros(basis.size)
     if settings.layout is not None:
-        start[: basis.weights] = settings.layout.initial(rng)
+        start[: basis.weights] = initial(settings.layout, rng)
     found = fit(
         basis,
         _examples(phi, train),

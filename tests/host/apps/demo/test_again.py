@@ -16,6 +16,7 @@ from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.base.errors import FlightFailed, SolverError
+from trimtab.host.base.workers import workers
 from trimtab.host.effects import load_effects
 from trimtab.host.trace import words
 from trimtab.host.vehicle import Vehicle
@@ -54,7 +55,8 @@ def run(world: str, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outco
     path = folder / "world.toml"
     path.write_text(world, encoding="utf-8")
     order = DemoRequest(vehicle=vehicle, folder=folder / "demo", seed=8, world=str(path), routes=routes)
-    return run_demo(order, load_effects())
+    with workers(1) as pool:
+        return run_demo(order, load_effects(), pool)
 
 
 def test_demo_without_drag_applies_the_thrust_at_the_battery_there_is_to_the_first_plan(

@@ -9,13 +9,15 @@ import pytest
 from trimtab.host.apps.demo.files import REPORT_NAME
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
+from trimtab.host.base.workers import workers
 from trimtab.host.effects import load_effects
 from trimtab.host.vehicle import Vehicle
 
 
 def run(world: str, seed: int, folder: Path, vehicle: Vehicle, routes: DemoRoutes) -> Outcome:
     order = DemoRequest(vehicle=vehicle, folder=folder, seed=seed, world=world, routes=routes)
-    return run_demo(order, load_effects(), on_message=lambda _: None)
+    with workers(1) as pool:
+        return run_demo(order, load_effects(), pool, on_message=lambda _: None)
 
 
 # In the full run: tracing's own tests have the verdict.
