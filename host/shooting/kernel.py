@@ -283,9 +283,10 @@ class _Parts:
             _table("PATH_SLOPE_MASK", masks.path_slope, exported=True),
             _table("Z_HESSIAN_MASK", masks.hessian, exported=True),
         ]
-        used = _mask(self.by_x).any(axis=0)
-        used[NETWORK_INPUTS] |= network is not None and model.network_rows is not None
-        sizes["FIRST"] = int(used.argmax()) if used.any() else model.nx
+        used = np.flatnonzero(_mask(self.by_x).any(axis=0)).tolist()
+        if network is not None and model.network_rows is not None:
+            used.append(NETWORK_INPUTS.start)
+        sizes["FIRST"] = min(used, default=model.nx)
         active = np.unique(np.concatenate([rows, columns]))
         sizes["ACTIVE"] = len(active)
         tables.append(_table("ACTIVE_ROW", active))
