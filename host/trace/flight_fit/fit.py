@@ -11,7 +11,7 @@ therefore one coloured process over all channels. A vector autoregression, fitte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated
@@ -24,7 +24,7 @@ from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
 from trimtab.host.trace.flight_fit.whitening import Whitening, autoregression, span_of, usable_bins, whitened
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.search import Names
+from trimtab.host.trace.search import Names, Score
 
 LOOP_SETTLED = 0.3
 """A fit ends at a step smaller than this many standard deviations."""
@@ -100,7 +100,8 @@ def fit_closed_loop(
     of every linear step.
     """
     space = loop.space
-    precision = prior_of(space).precision(effects)
+    prior = prior_of(space)
+    precision = prior.precision(effects)
     theta_scaled = space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
     iteration = 0
@@ -125,9 +126,9 @@ def fit_closed_loop(
         theta_scaled=space.clipped(theta_scaled + step),
         at=theta_scaled,
         covariance=covariance,
-        log_evidence=evidence.log_evidence(
-            grams.sum(0), log_det, theta_scaled, precision, len(effects), space.bounds
-        ),
+        log_evidence=evidence.log_evidences(
+            grams.sum(0), log_det, theta_scaled, prior, [effects], space.bounds
+        )[0],
         whitening=white,
         grams=grams,
         error_m=_position_rms(loop, base),
@@ -235,16 +236,14 @@ class FlightFitter:
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
-    def scorers(self, fit: FlightFit) -> list[Callable[[Names], float]]:
-        """Return a function that gives the log evidence of any set in the linearisation of `fit`.
+    def scorers(self, fit: FlightFit) -> list[Score]:
+        """Return a function that gives the log evidence of sets in the linearisation of `fit`.
 
         It keeps the whitening of `fit`. For sets with more effects the value is only a hint, since the
         whitening has absorbed a part of what the additional effects explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
-        return [
-            lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
-        ]
+        return [lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits)]
 
     def underrated_extensions(self, fit: FlightFit) -> list[Names]:
         """Return sets with one more effect that gains much from one of the start values in its effect file.

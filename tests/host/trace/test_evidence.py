@@ -96,9 +96,10 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
     expected += RULES.prior_log_odds * len(chosen)
     white = evidence.marginal_grams(dense.lin, PROCESS, PRIOR)
-    assert evidence.log_evidence(
-        white.gram, white.log_det, dense.lin.theta_scaled, precision, len(chosen), FREE
-    ) == pytest.approx(expected, abs=1e-7)
+    _, value = evidence.log_evidences(
+        white.gram, white.log_det, dense.lin.theta_scaled, PRIOR, [("b",), chosen], FREE
+    )
+    assert value == pytest.approx(expected, abs=1e-7)
 
 
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
@@ -148,7 +149,8 @@ def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> Non
     def value(logs: np.ndarray) -> float:
         process = DisturbanceVariances(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
         white = evidence.marginal_grams(dense.lin, process, PRIOR)
-        return evidence.log_evidence(white.gram, white.log_det, dense.lin.theta_scaled, precision, 0, FREE)
+        gram, log_det, theta_scaled = white.gram, white.log_det, dense.lin.theta_scaled
+        return evidence.log_evidences(gram, log_det, theta_scaled, PRIOR, [("a",)], FREE)[0]
 
     slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]
     for i, step in enumerate(h * np.eye(3)):
