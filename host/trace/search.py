@@ -163,12 +163,10 @@ def _select(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, 
 
 def screen(space: ParameterSpace, score: Score, depth: int) -> dict[Names, float]:
     """Return the score of each admissible set of up to `depth` effects that a beam search visits."""
-    scores = dict(zip([()], score([()]), strict=True))
+    scores: dict[Names, float] = {(): score([()])[0]}
     frontier: list[Names] = [()]
     for _ in range(depth):
-        grown = {
-            tuple(sorted((*names, *extra))) for names in frontier for extra in _extensions(space, names)
-        }
+        grown = {tuple(sorted((*names, *extra))) for names in frontier for extra in _extensions(space, names)}
         fresh = sorted(names for names in grown if len(names) <= depth and names not in scores)
         if not fresh:
             break

@@ -143,5 +143,5 @@ def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
     if not pairs:
         return None
     order = min(order, affordable(sum(int(known.sum()) for *_, known in pairs)))
-    differences = [(first - second) / np.sqrt(2.0) for first, second, _ in pairs]
-    return autoregression(differences, [known for *_, known in pairs], order)
+    differences = ((first - second) / np.sqrt(2.0) for first, second, _ in pairs)
+    return autoregression(differences, (known for *_, known in pairs), order)

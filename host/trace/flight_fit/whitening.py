@@ -9,7 +9,7 @@ keep a slow part; `trimtab.host.trace.flight_fit.fit.fit_with_whitening` allows 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,6 +26,9 @@ WINDOWS = ((1, 1), (2, 2), (3, 3), (4, 6))
 """First and last bin of each window, counted back from the current bin. An autoregression of order n uses the
 means over the first n windows.
 """
+
+_TRIANGLES = 64
+"""Most triangles of flights in memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,19 +62,21 @@ def span_of(order: int) -> int:
     return WINDOWS[order - 1][1]
 
 
-def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int) -> Whitening:
+def autoregression(residuals: Iterable[np.ndarray], known: Iterable[np.ndarray], order: int) -> Whitening:
     """Return the autoregression fitted to residuals by least squares.
 
     residuals: (bins, 12) for each flight. known: mask (bins,) for each flight. A bin is used if it and the
     `span_of(order)` bins before it are known.
     """
-    # Flight by flight, each is reduced to the triangle of its orthogonal factorisation.
+    # Each flight is reduced to the triangle of its orthogonal factorisation, and many of these again.
     triangles, count, past = [], 0, CHANNELS * order
     for r, mask in zip(residuals, known, strict=True):
         usable = usable_bins(mask, span_of(order))
         columns = np.concatenate([_past(r, order)[usable], r[usable]], axis=1)
         triangles.append(_triangle(columns))
         count += len(usable)
+        if len(triangles) == _TRIANGLES:
+            triangles = [_triangle(np.concatenate(triangles))]
     triangle = _triangle(np.concatenate(triangles))
     X, Y = triangle[:, :past], triangle[:, past:]
     coefficients, *_ = np.linalg.lstsq(X, Y, rcond=None)

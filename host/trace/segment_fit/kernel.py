@@ -1,4 +1,4 @@
-"""Roll-outs of segments as C over SIMD lanes: the programs of a segment model within the loops of `segments.c`."""
+"""Roll-outs of segments as C over SIMD lanes: the programs of a segment model in loops of `segments.c`."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ class SegmentKernel:
         self._library.roll_out.restype = self._library.along_paths.restype = None
         self._width = lane_count(self._library)
 
-    def roll_out(
+    def roll_out(  # noqa: PLR0913 (the data of one problem)
         self,
         *,
         command: Annotated[np.ndarray, "segments commands 4"],
@@ -50,7 +50,7 @@ class SegmentKernel:
         nuisances: Annotated[np.ndarray, "9 lanes segments"],
         bins: Annotated[np.ndarray, "bins 6 lanes"] | None,
     ) -> Annotated[np.ndarray, "segments steps 12 lanes"]:
-        """Return the predicted measurements; arguments as of `trimtab.host.trace.segment_fit.rollout.roll_out`.
+        """Return the predicted measurements, with arguments as of `..rollout.roll_out`.
 
         command: those before the last steps are the run-up of the rotors. delay: of the commands, in steps.
         series: attitude, body rate, voltage, time, shift and disturbance of every step. per_bin: steps in a
@@ -97,7 +97,7 @@ class SegmentKernel:
         return states[..., : theta_scaled.shape[1]]
 
     def _columns(self, array: Annotated[np.ndarray, "... lanes"]) -> Annotated[np.ndarray, "... lanes"]:
-        """Return the array aligned for vectors, with whole groups of lanes; the last lane fills the last one."""
+        """Return the array aligned for vectors, in whole groups of lanes, the last one repeated."""
         lanes = array.shape[-1]
         out = aligned((*array.shape[:-1], -(-lanes // self._width) * self._width))
         out[..., :lanes], out[..., lanes:] = array, array[..., -1:]

@@ -26,8 +26,8 @@ from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_o
 
 Result = TypeVar("Result")
 
-_STORED = 400
-"""Segments whose columns of the basis are stored, which take about 130 MB."""
+_STORED = 200
+"""Segments whose columns of the basis are stored, which take about 70 MB."""
 
 _PART = 32
 """Segments of a flight that are rolled out together."""
@@ -68,7 +68,9 @@ class Basis:
         part: Segments,
         segments: Annotated[np.ndarray, "part"],
         flight: int,
-    ) -> tuple[Annotated[np.ndarray, "part unknowns residuals"], Annotated[np.ndarray, "part unknowns unknowns"]]:
+    ) -> tuple[
+        Annotated[np.ndarray, "part unknowns residuals"], Annotated[np.ndarray, "part unknowns unknowns"]
+    ]:
         """Return the columns of some segments of a flight, in units of sigma, and their Grams.
 
         They are 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin. part: the

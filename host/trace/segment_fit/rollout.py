@@ -76,7 +76,7 @@ def _series(data: Segments) -> Annotated[np.ndarray, "segments steps 21"]:
     return np.concatenate([data.R_ned_frd, data.rate_frd, *columns, w], axis=2)
 
 
-def _roll_out_steps(  # noqa: PLR0913 (the data of one problem)
+def _roll_out_steps(
     segment_model: SegmentModel,
     data: Segments,
     x0: np.ndarray,
@@ -178,7 +178,9 @@ def remembered(
         out[:, :, segments] = np.moveaxis(starts[:, :, lane], 0, 2)
 
     kernel = segment_model.kernel
-    along = partial(_along_paths, segment_model) if kernel is None else partial(kernel.along_paths, dt_s=PATH_S)
+    along = (
+        partial(_along_paths, segment_model) if kernel is None else partial(kernel.along_paths, dt_s=PATH_S)
+    )
     together = np.split(np.arange(len(data.paths)), np.arange(_TOGETHER, len(data.paths), _TOGETHER))
     parallel.each(integrate, together, segment_model.jobs)
     return out

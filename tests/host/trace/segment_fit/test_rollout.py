@@ -95,7 +95,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     nuisances = np.zeros((1, model.NUISANCES))
-    columns = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
+    columns, _ = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
