@@ -17,7 +17,7 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure the speed of learning, planning, control and simulation, and the tracking error of plans.
+    """Measure the speed of learning, planning, control, tracing and simulation, and plans' tracking error.
 
     Takes some minutes. If they are installed (`make bench`), JAX and diffrax compute the same gradient,
     rockit solves the same problem and minsnap-trajectories the same spline, which takes a minute more.
@@ -27,12 +27,12 @@ def command(
     seed
         Seed of flights, first weights, courses and worlds.
     quick
-        Plan and fly fewer courses, and compare planning with CasADi at 100 intervals. Takes at most five
-        minutes in total.
+        Plan and fly fewer courses, compare planning with CasADi at 100 intervals, and trace only a few
+        flights. Takes at most five minutes in total.
     courses
         Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
     """
-    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session
+    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session, tracing
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
@@ -43,12 +43,13 @@ def command(
     size = planning.QUICK if quick else planning.Size()
     flights = flown.QUICK if quick else flown.Size()
     controlled = control.QUICK if quick else control.Size()
+    traces = tracing.QUICK if quick else tracing.Size()
     if courses is not None:
         if courses < 1:
             raise UsageError(f"--courses {courses}: give 1 or more")
         size = replace(size, success=courses)
     craft = open_workspace(workspace).vehicle(vehicle)
-    steps = len(learning.STEPS) + size.steps + flights.steps + len(control.STEPS)
+    steps = len(learning.STEPS) + size.steps + flights.steps + len(control.STEPS) + traces.steps
     found = machine.measure()
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
@@ -60,6 +61,7 @@ def command(
         planned = planning.measure(craft, seed, on_progress, size=size)
         compared = flown.measure(craft, seed, on_progress, size=flights)
         mpc = control.measure(craft, seed, on_progress, size=controlled)
+        trace = tracing.measure(craft, seed, on_progress, size=traces)
         progress.update(steps, detail="session")
         factor = session.realtime_factor(craft)
     say(
@@ -68,11 +70,12 @@ def command(
         *_planning_lines(planned, found["peak_gflops"]),
         *_flown_lines(compared),
         *_control_lines(mpc),
+        _trace_line(trace, traces.few),
         f"simulated sessions run {factor:.1f} times as fast as real time",
     )
     session_result = {"realtime_factor": factor}
     result = {"machine": found, "learning": learned, "planning": planned, "flown": compared, "control": mpc}
-    emit({**result, "session": session_result}, json)
+    emit({**result, "trace": trace, "session": session_result}, json)
 
 
 def _machine_line(result: dict[str, Any]) -> str:
@@ -204,6 +207,15 @@ def _control_lines(result: dict[str, Any]) -> list[str]:
         f"  CasADi and Ipopt         {naive['ms']:8.2f} ms a problem, median of {naive['problems']}: "
         f"{naive['over_ours']:.0f} times ours",
     ]
+
+
+def _trace_line(result: dict[str, Any], flights: int) -> str:
+    """Return the times of traces as a line of text."""
+    line = (
+        f"trace of {flights} flights: {result['cpu_s']:.1f} s processor time, {result['wall_s']:.1f} s in all"
+    )
+    per_log = result["logs_100_per_log"]
+    return line if per_log is None else f"{line}; of 100 logs: {per_log:.2f} s a log"
 
 
 def _seconds(value: float | None) -> str:
