@@ -232,6 +232,9 @@ class ClosedLoop:
         """
         updated = {i for name in effects for i in self.space.groups[name]} | self._products
         rows = [i for i in self._rows if afresh or self._slopes is None or i in updated]
+        whole = len(rows) == len(self._rows)
+        if whole:
+            self._slopes = None  # before the next ones are made: of many flights they are large
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _THETA_STEP
@@ -248,7 +251,6 @@ class ClosedLoop:
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
         sizes[[1 + row for row in rows]] = np.sum(squares, axis=0)
         self.space.check_finite(sizes)
-        whole = len(rows) == len(self._rows)
         result = Slopes(
             parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if whole else self._slopes
         )

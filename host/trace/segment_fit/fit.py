@@ -180,6 +180,7 @@ def refit(
             data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
             basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
         iteration += 1
+        del lin  # before the next one is made: of many flights each is large
     return SegmentFit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidences(
@@ -221,18 +222,20 @@ def at_parameters(
         Log evidence of the flight fit, in nats.
     """
     prior, data, nuisances, process = segment_model.space.prior, start.data, start.nuisances, start.process
-    for last in (False, True):
+    fixed = np.zeros(len(theta_scaled))
+    passes = 2
+    while True:
         lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
-        nuisance_step = evidence.nuisance_step(
-            lin, evidence.marginal_grams(lin, process, prior), prior, np.zeros(len(theta_scaled))
-        )
+        white = evidence.marginal_grams(lin, process, prior)
+        nuisance_step = evidence.nuisance_step(lin, white, prior, fixed)
         nuisances = nuisances + nuisance_step
-        if not last:
-            data = data.with_w(
-                evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), nuisance_step)
-            )
+        passes -= 1
+        if not passes:
+            break
+        data = data.with_w(evidence.disturbances(lin, process, fixed, nuisance_step))
+        del lin  # before the next one is made: of many flights each is large
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,

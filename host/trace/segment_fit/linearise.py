@@ -20,7 +20,7 @@ from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.linearisation import Linearisation, Reduced, reduced
+from trimtab.host.trace.linearisation import Linearisation, OwnGrams
 from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
@@ -304,7 +304,16 @@ def linearise(
     memory = remembered(segment_model, data, points)
     x0 = data.x0.copy()
 
-    def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[Reduced, np.ndarray]:
+    lin = Linearisation.blank(
+        data.bins,
+        piece=piece,
+        piece_flight=piece_flight,
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+        jobs=segment_model.jobs,
+    )
+
+    def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[OwnGrams, np.ndarray]:
         columns, columns_gram = basis.columns(segment_model, part, segments, flight)
         starts = memory[:, :, segments]
         x0[segments] = _stepped_x0(
@@ -319,19 +328,13 @@ def linearise(
         sizes = np.einsum("spn,spn->p", A, A)
         cross = A @ np.swapaxes(columns, 1, 2)
         gram = np.block([[A @ np.swapaxes(A, 1, 2), cross], [np.swapaxes(cross, 1, 2), columns_gram]])
-        return reduced(_without_x0(gram, count), count + NUISANCES, piece[segments]), sizes
+        return lin.reduce(segments, _without_x0(gram, count)), sizes
 
     parts, sizes = zip(*_each_part(segment_model, data, reduce), strict=True)
     segment_model.space.check_finite(np.sum(sizes, axis=0))
-    linearisation = Linearisation.of(
-        parts,
-        piece=piece,
-        piece_flight=piece_flight,
-        theta_scaled=theta_scaled,
-        nuisances=nuisances,
-        jobs=segment_model.jobs,
-    )
-    return linearisation, x0
+    for own in parts:
+        lin.add(own)
+    return lin, x0
 
 
 def _pieces(flight: np.ndarray, flights: int) -> tuple[np.ndarray, np.ndarray]:

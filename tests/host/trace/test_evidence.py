@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, reduced
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 
 BINS, P, K, ROWS = 2, 3, 2, 40
 PROCESS = DisturbanceVariances(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
@@ -37,14 +37,16 @@ def _linearisation(
     gram: np.ndarray, flight: np.ndarray, theta_scaled: np.ndarray, nuisances: np.ndarray
 ) -> Linearisation:
     """Reduce Grams (S, n, n) of [r | S | L | Z], one flight after the other."""
-    parts = [reduced(gram[flight == each], 1 + P + K, flight[flight == each]) for each in np.unique(flight)]
-    return Linearisation.of(
-        parts,
+    lin = Linearisation.blank(
+        BINS,
         piece=flight,
         piece_flight=np.arange(len(nuisances)),
         theta_scaled=theta_scaled,
         nuisances=nuisances,
     )
+    for each in np.unique(flight):
+        lin.add(lin.reduce(np.flatnonzero(flight == each), gram[flight == each]))
+    return lin
 
 
 @pytest.fixture(scope="module")
