@@ -197,7 +197,7 @@ def _line_search(
     points = np.column_stack([theta_scaled, points])
     cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
-    return points[:, best], [r[best] for r in rolled]
+    return points[:, best], [r[best].copy() for r in rolled]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
