@@ -205,9 +205,8 @@ def local_quadratics(
     near = np.minimum(near, len(s.pose_s) - 1)
     x = (s.pose_s[near] - t_s[:, None]) / half_s
     powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
-    normal = np.swapaxes(powers, 1, 2) @ powers
-    inverse = np.linalg.pinv(normal, rcond=1e-12, hermitian=True)  # stamps of poses may be equal
-    fit = inverse @ (np.swapaxes(powers, 1, 2) @ s.p_ned[near])
+    normal = np.swapaxes(powers, 1, 2) @ powers + 1e-12 * np.eye(3)  # stamps of poses may be equal
+    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p_ned[near])
     return fit / half_s ** np.arange(3)[:, None]
 
 
