@@ -22,7 +22,15 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
-from trimtab.host.trace.flight_fit.whitening import Whitening, autoregression, span_of, usable_bins, whitened
+from trimtab.host.trace.flight_fit.whitening import (
+    Regressors,
+    Whitening,
+    autoregression,
+    regressors,
+    span_of,
+    usable_bins,
+    whitened,
+)
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names, Score
 
@@ -146,8 +154,12 @@ def _linear_step(
 ) -> tuple[np.ndarray, np.ndarray, Whitening, np.ndarray]:
     """Return step, covariance, whitening and Grams; the whitening is fitted to the residual after `step`."""
     moved = step.any()
-    residuals = loop.each(lambda i: base[i] - np.tensordot(step, slopes[i], 1) if moved else base[i])
-    white = autoregression(residuals, loop.known, order)
+
+    def regressors_of(index: int) -> Regressors:
+        r = base[index] - np.tensordot(step, slopes[index], 1) if moved else base[index]
+        return regressors(r, loop.recordings[index].known, order)
+
+    white = autoregression(loop.each(regressors_of))
     grams = whitened_grams(white, loop, base, slopes)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams

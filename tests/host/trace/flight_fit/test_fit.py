@@ -187,7 +187,7 @@ def test_autoregression_is_recovered_and_leaves_white_innovations() -> None:
     known[1000:1003] = False
     spoilt = noise.copy()
     spoilt[1000:1003] = 1e3
-    white = whitening.autoregression([spoilt], [known], 1)
+    white = whitening.autoregression([whitening.regressors(spoilt, known, 1)])
     wanted = 0.8 * np.eye(CHANNELS)
     # A first-order form of the process: position uses the attitude of the step before.
     wanted[0:3, 3:6] = 0.05 * np.eye(3)
