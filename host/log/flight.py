@@ -6,7 +6,9 @@ Vehicle stamps are translated with the log's last clock offset, because it uses 
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+import gc
+from collections.abc import Collection, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +57,20 @@ def read_flight(path: Path | str, *, leave_out: Collection[str] = ()) -> Flight:
 
     Raises LogError (exit code 5) if the log is cut, damaged or of another program.
     """
-    return to_flight(scan_closed(Path(path)), leave_out=leave_out)
+    with _garbage_kept():
+        return to_flight(scan_closed(Path(path)), leave_out=leave_out)
+
+
+@contextmanager
+def _garbage_kept() -> Iterator[None]:
+    """Pause the search for cyclic garbage: a log's messages are many objects without cycles."""
+    searching = gc.isenabled()
+    gc.disable()
+    try:
+        yield
+    finally:
+        if searching:
+            gc.enable()
 
 
 def scan_closed(path: Path) -> Scan:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from operator import attrgetter
 from typing import Any
 
 import numpy as np
@@ -56,7 +57,7 @@ def _times(values: Sequence[int]) -> Times:
 def _columns(messages: Sequence[Any], get: Callable[[Any], Sequence[float]], width: int) -> Floats:
     """Return a repeated field, (n, width). Raises ValueError for a message with another number of values."""
     rows = [get(message)[:] for message in messages]  # five times as fast as iterating over each
-    if any(len(row) != width for row in rows):
+    if not set(map(len, rows)) <= {width}:
         raise ValueError(f"a message does not have {width} values")
     return np.array(rows, dtype=float).reshape(len(rows), width)
 
@@ -69,11 +70,11 @@ def _quaternions(messages: Sequence[Any]) -> Floats:
 
 
 def _scalars(messages: Sequence[Any], name: str) -> Floats:
-    return np.array([getattr(message, name) for message in messages], dtype=float)
+    return np.array(list(map(attrgetter(name), messages)), dtype=float)
 
 
 def _counts(messages: Sequence[Any], name: str) -> Times:
-    return _times([getattr(message, name) for message in messages])
+    return _times(list(map(attrgetter(name), messages)))
 
 
 def read_mocap(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Mocap | None:

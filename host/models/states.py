@@ -191,11 +191,10 @@ def _thrusts(vehicle: Vehicle, control: Control, times_s: np.ndarray) -> np.ndar
     commanded = command_to_thrust(control.motor_mean, vehicle.thrust_max_n, *vehicle.thrust_curve)
     edges = np.concatenate([control.t0_us[:1], control.t1_us]) * 1e-6
     stay = np.exp(-np.diff(edges) / vehicle.motor_lag_s)
-    thrust = np.empty((len(edges), 4))
-    thrust[0] = commanded[0]
-    for k, share in enumerate(stay):
-        thrust[k + 1] = commanded[k] + share * (thrust[k] - commanded[k])
-    return _interpolated(times_s, edges, thrust)
+    thrust = [commanded[0].tolist()]
+    for target, share in zip(commanded.tolist(), stay.tolist(), strict=True):
+        thrust.append([to + share * (now - to) for to, now in zip(target, thrust[-1], strict=True)])
+    return _interpolated(times_s, edges, np.array(thrust))
 
 
 def battery_of(flight: Flight) -> tuple[Annotated[np.ndarray, "samples"], Annotated[np.ndarray, "samples"]]:

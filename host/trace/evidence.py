@@ -100,53 +100,53 @@ def nuisance_step(
     return np.linalg.solve(inner, rhs[:, :, None])[:, :, 0]
 
 
-def log_evidence(
+def log_evidences(
     gram: Annotated[np.ndarray, "columns columns"],
     log_det: float,
     theta_scaled: Annotated[np.ndarray, "parameters"],
-    precision: Annotated[np.ndarray, "parameters"],
-    count: int,
+    prior: Prior,
+    sets: Sequence[Sequence[str]],
     limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
-) -> float:
-    """Return log evidence plus log prior of a set of effects in a linearisation, in nats, up to a constant.
+) -> list[float]:
+    """Return log evidence plus log prior of sets of effects in a linearisation, in nats, up to a constant.
 
     gram: of the whitened [r | S], linearised at theta_scaled. log_det: log determinant of the covariance by
-    which they were whitened. precision: of the prior of the set, scaled. count: number of effects in the set.
-    The quadratic is evaluated at the best point within `limits`, the lower and upper bounds: an effect cannot
-    gain evidence from a value outside its physical bounds.
+    which they were whitened. The quadratic is evaluated at the best point within `limits`, the lower and
+    upper bounds: an effect cannot gain evidence from a value outside its physical bounds.
     """
+    precision = np.stack([prior.precision(names) for names in sets])
     rhs = gram[0, 1:] - precision * theta_scaled
-    normal = gram[1:, 1:] + np.diag(precision)
+    normal = gram[1:, 1:] + precision[:, :, None] * np.eye(len(theta_scaled))
     chol = np.linalg.cholesky(normal)
-    half = np.linalg.solve(chol, rhs)
-    quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - half @ half
-    free = np.linalg.solve(chol.T, half)
-    bounded_step = minimise_in_box(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled)
-    excess = bounded_step - free
-    quadratic += excess @ normal @ excess
-    occam = 2.0 * np.log(np.diag(chol)).sum() - np.log(precision).sum()
-    return float(-0.5 * (quadratic + occam + log_det) + RULES.prior_log_odds * count)
+    half = np.linalg.solve(chol, rhs[:, :, None])
+    free = np.linalg.solve(chol.swapaxes(1, 2), half)[:, :, 0]
+    excess = minimise_in_box(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled) - free
+    quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - np.square(half).sum((1, 2))
+    quadratic += np.einsum("si,sij,sj->s", excess, normal, excess)
+    occam = 2.0 * np.log(np.einsum("sii->si", chol)).sum(1) - np.log(precision).sum(1)
+    odds = RULES.prior_log_odds * np.array([len(names) for names in sets])
+    return (-0.5 * (quadratic + occam + log_det) + odds).tolist()
 
 
 def minimise_in_box(
-    normal: Annotated[np.ndarray, "parameters parameters"],
-    minimum: Annotated[np.ndarray, "parameters"],
+    normal: Annotated[np.ndarray, "... parameters parameters"],
+    minimum: Annotated[np.ndarray, "... parameters"],
     lower: Annotated[np.ndarray, "parameters"],
     upper: Annotated[np.ndarray, "parameters"],
-) -> Annotated[np.ndarray, "parameters"]:
-    """Return an approximate minimiser of a quadratic between `lower` and `upper`.
+) -> Annotated[np.ndarray, "... parameters"]:
+    """Return approximate minimisers of quadratics between `lower` and `upper`.
 
-    normal: Hessian of the quadratic. minimum: its unconstrained minimum. Components that cross a bound are
+    normal: Hessian of each quadratic. minimum: its unconstrained minimum. Components that cross a bound are
     fixed there, and the others are solved again until none crosses.
     """
-    fixed, at = np.zeros(len(minimum), dtype=bool), minimum
+    fixed, at = np.zeros(minimum.shape, dtype=bool), minimum
+    bound = np.clip(minimum, lower, upper)
     while ((at < lower) | (at > upper)).any():
         fixed |= (at < lower) | (at > upper)
-        at = np.where(fixed, np.clip(minimum, lower, upper), 0.0)
-        free = ~fixed
-        shift = normal[np.ix_(free, fixed)] @ (at - minimum)[fixed]
-        at[free] = minimum[free] - np.linalg.solve(normal[np.ix_(free, free)], shift)
-        at = np.where(fixed, np.clip(at, lower, upper), at)
+        shift = normal @ np.where(fixed, bound - minimum, 0.0)[..., None]
+        among_free = np.where(fixed[..., None] | fixed[..., None, :], np.eye(len(lower)), normal)
+        step = np.linalg.solve(among_free, np.where(fixed[..., None], 0.0, shift))[..., 0]
+        at = np.where(fixed, bound, minimum - step)
     return at
 
 
@@ -176,7 +176,8 @@ def bounded_step(
     """
     step, covariance = posterior(gram, theta_scaled, precision)
     normal = gram[1:, 1:] + np.diag(precision)
-    return minimise_in_box(normal, step, limits[0] - theta_scaled, limits[1] - theta_scaled), covariance
+    lower, upper = limits[0] - theta_scaled, limits[1] - theta_scaled
+    return minimise_in_box(normal, step, lower, upper), covariance
 
 
 def fit_process(

@@ -5,7 +5,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated, TypeVar
 
@@ -15,6 +15,9 @@ from trimtab.host.base import parallel
 from trimtab.host.trace.decision.rules import RULES
 
 Result = TypeVar("Result")
+
+OwnGrams = list[tuple[int, np.ndarray]]
+"""Indices of pieces, and sums of Grams of [r | S | L] over segments of them."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -52,35 +55,6 @@ def innovation_root(bins: int) -> Annotated[np.ndarray, "disturbances innovation
 
 
 @dataclass(frozen=True, kw_only=True)
-class Reduced:
-    """Segments of one flight, reduced: see `Linearisation`, of which this is a part."""
-
-    pieces: Annotated[np.ndarray, "pieces"]
-    own: Annotated[np.ndarray, "pieces columns columns"]
-    square: Annotated[np.ndarray, "segments innovations innovations"]
-    cross: Annotated[np.ndarray, "segments innovations columns"]
-
-
-def reduced(
-    gram: Annotated[np.ndarray, "segments all_columns all_columns"],
-    columns: int,
-    piece: Annotated[np.ndarray, "segments"],
-) -> Reduced:
-    """Return the reduction of the Grams of [r | S | L | Z].
-
-    columns: number of columns [r | S | L]. piece: index of the piece that each segment belongs to.
-    """
-    pieces = np.unique(piece)
-    root = innovation_root((gram.shape[1] - columns) // 6)
-    return Reduced(
-        pieces=pieces,
-        own=np.stack([gram[piece == each, :columns, :columns].sum(0) for each in pieces]),
-        square=root.T @ gram[:, columns:, columns:] @ root,
-        cross=root.T @ gram[:, columns:, :columns],
-    )
-
-
-@dataclass(frozen=True, kw_only=True)
 class Linearisation:
     """Grams of all segments at one point, with initial states projected out.
 
@@ -113,9 +87,9 @@ class Linearisation:
     jobs: int = 1
 
     @classmethod
-    def of(
+    def blank(
         cls,
-        parts: Sequence[Reduced],
+        bins: int,
         *,
         piece: Annotated[np.ndarray, "segments"],
         piece_flight: Annotated[np.ndarray, "pieces"],
@@ -123,21 +97,37 @@ class Linearisation:
         nuisances: Annotated[np.ndarray, "flights nuisances"],
         jobs: int = 1,
     ) -> Linearisation:
-        """Return the linearisation of `parts`, which hold all segments in their order."""
-        columns = 1 + len(theta_scaled) + nuisances.shape[1]
-        own = np.zeros((len(piece_flight), columns, columns))
-        for part in parts:
-            own[part.pieces] += part.own
+        """Return a linearisation to be filled: `reduce` sets the Grams of segments, `add` those of pieces."""
+        columns, innovations = 1 + len(theta_scaled) + nuisances.shape[1], 6 * bins
         return cls(
-            own=own,
-            square=np.concatenate([part.square for part in parts]),
-            cross=np.concatenate([part.cross for part in parts]),
+            own=np.zeros((len(piece_flight), columns, columns)),
+            square=np.empty((len(piece), innovations, innovations)),
+            cross=np.empty((len(piece), innovations, columns)),
             piece=piece,
             piece_flight=piece_flight,
             theta_scaled=theta_scaled,
             nuisances=nuisances,
             jobs=jobs,
         )
+
+    def reduce(
+        self,
+        segments: Annotated[np.ndarray, "part"],
+        gram: Annotated[np.ndarray, "part all_columns all_columns"],
+    ) -> OwnGrams:
+        """Set the Grams of some segments from those of [r | S | L | Z]; return those to `add`.
+
+        Threads may reduce different segments at the same time.
+        """
+        columns, root, piece = self.own.shape[1], innovation_root(self.bins), self.piece[segments]
+        self.square[segments] = root.T @ gram[:, columns:, columns:] @ root
+        self.cross[segments] = root.T @ gram[:, columns:, :columns]
+        return [(each, gram[piece == each, :columns, :columns].sum(0)) for each in np.unique(piece).tolist()]
+
+    def add(self, own: OwnGrams) -> None:
+        """Add Grams of [r | S | L] to those of their pieces. The order of calls is that of the sums."""
+        for piece, gram in own:
+            self.own[piece] += gram
 
     @property
     def parameters(self) -> int:

@@ -27,7 +27,7 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import DT_S, SEGMENT_S, segments_of
 from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.data.segments import Segments
-from trimtab.host.trace.data.signals import FlightData, pose_interval_s, states_of
+from trimtab.host.trace.data.signals import FlightData, local_quadratics, pose_interval_s, states_of
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
@@ -84,15 +84,8 @@ def motion(
     t, low, high = t[enough], low[enough], high[enough]
     if not len(t):
         return t, np.empty((0, 3)), np.empty((0, 3))
-    near = low[:, None] + np.arange((high - low).max())
-    inside = near < high[:, None]
-    near = np.minimum(near, len(s.pose_s) - 1)
-    # Times in units of the half window keep the normal equations well conditioned.
-    x = (s.pose_s[near] - t[:, None]) / half_s
-    powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
-    normal = np.swapaxes(powers, 1, 2) @ powers
-    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p_ned[near])
-    return t, fit[:, 0], fit[:, 1] / half_s
+    fit = local_quadratics(s, t, low, high, half_s)
+    return t, fit[:, 0], fit[:, 1]
 
 
 def predict_flights(

@@ -23,6 +23,7 @@ BEAM = 25
 """Number of sets that the screening extends at each depth."""
 
 Names = tuple[str, ...]
+Score = Callable[[Sequence[Names]], Sequence[float]]
 OnProgress = Callable[[str], None]
 
 
@@ -51,8 +52,8 @@ class Fitter(Protocol[F]):
         """Return the set `effects` fitted from `start`."""
         ...
 
-    def scorers(self, fit: F) -> list[Callable[[Names], float]]:
-        """Return functions that score any set by its log evidence in the linearisation of `fit`.
+    def scorers(self, fit: F) -> list[Score]:
+        """Return functions that score sets by their log evidence in the linearisation of `fit`.
 
         The last one uses the noise model of `fit`; up to a constant, its score of `fit.effects` is
         `fit.log_evidence`.
@@ -160,19 +161,17 @@ def _select(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, 
     return selected, _scores(fitter, selected, supported, frozenset(fits) - frozenset(supported))
 
 
-def screen(space: ParameterSpace, score: Callable[[Names], float], depth: int) -> dict[Names, float]:
+def screen(space: ParameterSpace, score: Score, depth: int) -> dict[Names, float]:
     """Return the score of each admissible set of up to `depth` effects that a beam search visits."""
-    scores: dict[Names, float] = {(): score(())}
+    scores: dict[Names, float] = {(): score([()])[0]}
     frontier: list[Names] = [()]
     for _ in range(depth):
-        fresh: dict[Names, float] = {}
-        for names in frontier:
-            for extra in _extensions(space, names):
-                grown = tuple(sorted((*names, *extra)))
-                if len(grown) <= depth and grown not in scores and grown not in fresh:
-                    fresh[grown] = score(grown)
-        scores.update(fresh)
-        frontier = sorted(fresh, key=lambda names: (-fresh[names], names))[:BEAM]
+        grown = {tuple(sorted((*names, *extra))) for names in frontier for extra in _extensions(space, names)}
+        fresh = sorted(names for names in grown if len(names) <= depth and names not in scores)
+        if not fresh:
+            break
+        scores.update(zip(fresh, score(fresh), strict=True))
+        frontier = sorted(fresh, key=lambda names: (-scores[names], names))[:BEAM]
     return scores
 
 
@@ -244,7 +243,7 @@ def _scores(
     """
     depth = min(RULES.max_effects, len(selected.effects) + 1)
     score = fitter.scorers(selected)[-1]
-    shift = selected.log_evidence - score(selected.effects)
+    shift = selected.log_evidence - score([selected.effects])[0]
     scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}
     scores.update({names: fit.log_evidence for names, fit in fits.items()})
     return {names: value for names, value in scores.items() if names not in unsupported}

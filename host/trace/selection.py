@@ -187,6 +187,11 @@ def _from_flights(
     judged = (
         fit if selected_set_is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
     )
+    after, before = (
+        repeatability_of(loop, theta_scaled, autoregression_order, repeat_flights)
+        for theta_scaled in (judged.theta_scaled, theta_without_effects(space, null_fit))
+    )
+    del loop, fitter  # they hold much memory
     covariance = inflated_flight_covariance(space, fit, flights_by_reference(repeat_flights, len(flights)))
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
@@ -199,12 +204,7 @@ def _from_flights(
         posterior_weights=result.posterior_weights,
         log_evidence=result.log_evidence,
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
-        repeatability=(
-            repeatability_of(loop, judged.theta_scaled, autoregression_order, repeat_flights),
-            repeatability_of(
-                loop, theta_without_effects(space, null_fit), autoregression_order, repeat_flights
-            ),
-        ),
+        repeatability=(after, before),
     )
 
 

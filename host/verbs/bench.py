@@ -18,7 +18,7 @@ def command(
     workspace: WorkspaceFolder = None,
     json: Json = False,
 ) -> None:
-    """Measure the speed of learning, planning, control and simulation, and the tracking error of plans.
+    """Measure the speed of learning, planning, control, tracing and simulation, and plans' tracking error.
 
     Takes some minutes. If they are installed (`make bench`), JAX and diffrax compute the same gradient,
     rockit solves the same problem and minsnap-trajectories the same spline, which takes a minute more.
@@ -28,14 +28,14 @@ def command(
     seed
         Seed of flights, first weights, courses and worlds.
     quick
-        Plan and fly fewer courses, and compare planning with CasADi at 100 intervals. Takes at most five
-        minutes in total.
+        Plan and fly fewer courses, compare planning with CasADi at 100 intervals, and trace only a few
+        flights. Takes at most five minutes in total.
     courses
         Number of random courses for the success rate of planning. Default: 40, or 10 with --quick.
     peers
         Measure only what other tools are compared with, and print the table of the comparisons.
     """
-    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session, table
+    from trimtab.host.apps.bench import control, flown, learning, machine, planning, session, table, tracing
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
@@ -46,6 +46,7 @@ def command(
     size = planning.QUICK if quick else planning.Size()
     flights = flown.QUICK if quick else flown.Size()
     controlled = control.QUICK if quick else control.Size()
+    traces = tracing.QUICK if quick else tracing.Size()
     if courses is not None:
         if courses < 1:
             raise UsageError(f"--courses {courses}: give 1 or more")
@@ -56,7 +57,7 @@ def command(
         size, controlled = size.peers_alone(), controlled.peers_alone()
     craft = open_workspace(workspace).vehicle(vehicle)
     steps = len(learning.GRADIENT_STEPS if peers else learning.STEPS) + size.steps + len(control.STEPS)
-    steps += 0 if peers else flights.steps
+    steps += 0 if peers else flights.steps + traces.steps
     found = machine.measure()
     with Progress("bench", total=float(steps + 1)) as progress:
         done = iter(range(steps))
@@ -70,6 +71,7 @@ def command(
         others: dict[str, dict[str, Any]] = {}
         if not peers:
             others["flown"] = flown.measure(craft, seed, on_progress, size=flights)
+            others["trace"] = tracing.measure(craft, seed, on_progress, size=traces)
             progress.update(steps, detail="session")
             others["session"] = {"realtime_factor": session.realtime_factor(craft)}
     result = table.answer(machine=found, learning=learned, planning=planned, control=mpc, **others)
@@ -80,6 +82,7 @@ def command(
             *_planning_lines(result["planning"], found["peak_gflops"]),
             *_flown_lines(result["flown"]),
             *_control_lines(result["control"]),
+            _trace_line(result["trace"], traces.few),
             f"simulated sessions run {result['session']['realtime_factor']:.1f} times as fast as real time",
         )
     say(*table.peer_lines(result["peers"]))
@@ -216,6 +219,15 @@ def _control_lines(result: dict[str, Any]) -> list[str]:
         f"  CasADi and Ipopt         {naive['ms']:8.2f} ms a problem, median of {naive['problems']}: "
         f"{naive['over_ours']:.0f} times ours",
     ]
+
+
+def _trace_line(result: dict[str, Any], flights: int) -> str:
+    """Return the times of traces as a line of text."""
+    line = (
+        f"trace of {flights} flights: {result['cpu_s']:.1f} s processor time, {result['wall_s']:.1f} s in all"
+    )
+    per_log = result["logs_100_per_log"]
+    return line if per_log is None else f"{line}; of 100 logs: {per_log:.2f} s a log"
 
 
 def _seconds(value: float | None) -> str:

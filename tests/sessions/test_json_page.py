@@ -20,7 +20,7 @@ from tests.host.apps.paper.controllers.made_up import pieces as controller_piece
 from tests.host.apps.paper.flight.made_up import made_up_world
 from tests.sitl.studies.labels.made_up import made_up_world as made_up_labels
 from trimtab.host import cli
-from trimtab.host.apps.bench import control, machine, planning, table
+from trimtab.host.apps.bench import control, machine, planning, table, tracing
 from trimtab.host.apps.bench import flown as bench_flown
 from trimtab.host.apps.bench import learning as bench
 from trimtab.host.apps.bench.session import realtime_factor
@@ -422,12 +422,16 @@ def test_bench_prints_what_the_page_says(monkeypatch: pytest.MonkeyPatch) -> Non
     compared = bench_flown.measure(vehicle, 1, size=bench_flown.Size(worlds=1, courses=2))
     session = {"realtime_factor": realtime_factor(vehicle)}
     mpc = control.measure(vehicle, 1, size=control.Size(steps=100, courses=1, peer_problems=3))
+    monkeypatch.setattr(tracing, "flown", lambda *of: [])
+    monkeypatch.setattr(tracing, "traced", lambda logs: (1.0, 1.0))
+    trace = tracing.measure(vehicle, 1, size=tracing.Size(many=0))
     answer = table.answer(
         machine=machine.measure(),
         learning=found,
         planning=planned,
         control=mpc,
         flown=compared,
+        trace=trace,
         session=session,
     )
     check("bench", answer)

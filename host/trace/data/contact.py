@@ -5,7 +5,14 @@ from __future__ import annotations
 import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.host.trace.data.signals import FlightData, Signals, averaged, nominal_thrust, without_inputs
+from trimtab.host.trace.data.signals import (
+    FlightData,
+    Signals,
+    averaged,
+    local_quadratics,
+    nominal_thrust,
+    without_inputs,
+)
 from trimtab.host.trace.data.stretches import UnusedStretch, clipped_stretch, merged_spans, runs_of, within
 from trimtab.host.trace.decision.findings import Code
 from trimtab.host.trace.decision.rules import RULES
@@ -97,15 +104,13 @@ def _window_means(
         )
 
     thrust = means(s.input_s, rotor_thrusts.sum(axis=1) / vehicle.mass_kg)
-    quadratics = [
-        np.polynomial.polynomial.polyfit(s.pose_s[a:b] - s.pose_s[a], s.p_ned[a:b], 2)
-        for a, b in zip(low, high, strict=True)
-    ]
-    speed = np.array([c[1, 2] + c[2, 2] * _WINDOW_S for c in quadratics])
+    half_s = 0.5 * _WINDOW_S
+    quadratics = local_quadratics(s, s.pose_s[low] + half_s, low, high, half_s)
+    speed = quadratics[:, 1, 2]
     if len(s.force_frd):
         force = -means(s.imu_s, s.force_frd[:, 2])
     else:
-        acceleration = np.array([2.0 * c[2] for c in quadratics])
+        acceleration = 2.0 * quadratics[:, 2]
         axis = s.R_ned_frd[(low + high) // 2, :, 2]
         force = -np.einsum("ni,ni->n", axis, acceleration - np.array([0.0, 0.0, GRAVITY]))
     return thrust, force, speed

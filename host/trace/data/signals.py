@@ -188,6 +188,28 @@ def pose_interval_s(s: Signals) -> float:
     return float(np.median(np.diff(s.pose_s)))
 
 
+def local_quadratics(
+    s: Signals,
+    t_s: Annotated[np.ndarray, "times"],
+    low: Annotated[np.ndarray, "times"],
+    high: Annotated[np.ndarray, "times"],
+    half_s: float,
+) -> Annotated[np.ndarray, "times 3 3"]:
+    """Return position, velocity and half the acceleration at each time, NED, by quadratics through the poses.
+
+    low, high: index of the first pose of the window around each time, and of the first pose after it. half_s:
+    half the length of a window, the unit of time in which the normal equations are well conditioned.
+    """
+    near = low[:, None] + np.arange((high - low).max())
+    inside = near < high[:, None]
+    near = np.minimum(near, len(s.pose_s) - 1)
+    x = (s.pose_s[near] - t_s[:, None]) / half_s
+    powers = np.stack([np.ones_like(x), x, x * x], axis=2) * inside[:, :, None]
+    normal = np.swapaxes(powers, 1, 2) @ powers + 1e-12 * np.eye(3)  # stamps of poses may be equal
+    fit = np.linalg.solve(normal, np.swapaxes(powers, 1, 2) @ s.p_ned[near])
+    return fit / half_s ** np.arange(3)[:, None]
+
+
 def noise(s: Signals) -> Annotated[np.ndarray, "4"]:
     """Return the noise of position (m), attitude (rad), body rate (rad/s) and specific force (m/s^2).
 

@@ -11,7 +11,7 @@ therefore one coloured process over all channels. A vector autoregression, fitte
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Annotated
@@ -22,9 +22,17 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
-from trimtab.host.trace.flight_fit.whitening import Whitening, autoregression, span_of, usable_bins, whitened
+from trimtab.host.trace.flight_fit.whitening import (
+    Regressors,
+    Whitening,
+    autoregression,
+    regressors,
+    span_of,
+    usable_bins,
+    whitened,
+)
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.search import Names
+from trimtab.host.trace.search import Names, Score
 
 LOOP_SETTLED = 0.3
 """A fit ends at a step smaller than this many standard deviations."""
@@ -100,7 +108,8 @@ def fit_closed_loop(
     of every linear step.
     """
     space = loop.space
-    precision = prior_of(space).precision(effects)
+    prior = prior_of(space)
+    precision = prior.precision(effects)
     theta_scaled = space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
     iteration = 0
@@ -125,9 +134,9 @@ def fit_closed_loop(
         theta_scaled=space.clipped(theta_scaled + step),
         at=theta_scaled,
         covariance=covariance,
-        log_evidence=evidence.log_evidence(
-            grams.sum(0), log_det, theta_scaled, precision, len(effects), space.bounds
-        ),
+        log_evidence=evidence.log_evidences(
+            grams.sum(0), log_det, theta_scaled, prior, [effects], space.bounds
+        )[0],
         whitening=white,
         grams=grams,
         error_m=_position_rms(loop, base),
@@ -145,8 +154,12 @@ def _linear_step(
 ) -> tuple[np.ndarray, np.ndarray, Whitening, np.ndarray]:
     """Return step, covariance, whitening and Grams; the whitening is fitted to the residual after `step`."""
     moved = step.any()
-    residuals = loop.each(lambda i: base[i] - np.tensordot(step, slopes[i], 1) if moved else base[i])
-    white = autoregression(residuals, loop.known, order)
+
+    def regressors_of(index: int) -> Regressors:
+        r = base[index] - np.tensordot(step, slopes[index], 1) if moved else base[index]
+        return regressors(r, loop.recordings[index].known, order)
+
+    white = autoregression(loop.each(regressors_of))
     grams = whitened_grams(white, loop, base, slopes)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
@@ -196,7 +209,7 @@ def _line_search(
     points = np.column_stack([theta_scaled, points])
     cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
-    return points[:, best], [r[best] for r in rolled]
+    return points[:, best], [r[best].copy() for r in rolled]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -235,16 +248,14 @@ class FlightFitter:
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
-    def scorers(self, fit: FlightFit) -> list[Callable[[Names], float]]:
-        """Return a function that gives the log evidence of any set in the linearisation of `fit`.
+    def scorers(self, fit: FlightFit) -> list[Score]:
+        """Return a function that gives the log evidence of sets in the linearisation of `fit`.
 
         It keeps the whitening of `fit`. For sets with more effects the value is only a hint, since the
         whitening has absorbed a part of what the additional effects explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
-        return [
-            lambda names: evidence.log_evidence(gram, 0.0, fit.at, prior.precision(names), len(names), limits)
-        ]
+        return [lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits)]
 
     def underrated_extensions(self, fit: FlightFit) -> list[Names]:
         """Return sets with one more effect that gains much from one of the start values in its effect file.

@@ -29,7 +29,7 @@ STABLE = 2.5
 """Greatest |eigenvalue| times step for which RK4 is stable. Modes this fast need not be accurate here."""
 
 _TOGETHER = 8
-"""Most flights that are rolled out together: they fill the SIMD lanes even with one parameter vector."""
+"""Most flights that are rolled out together: they fill up to as many SIMD lanes with one parameter vector."""
 
 Result = TypeVar("Result")
 
@@ -66,6 +66,25 @@ class _Batch:
             x0=np.stack([recording.states.initial(phi) for recording in batch], axis=1),
             drive=np.stack([_drive(recording.states, stages) for recording in batch], axis=2),
             constants=np.stack([recording.states.constants for recording in batch], axis=1),
+        )
+
+    def samples(
+        self, theta: Annotated[np.ndarray, "parameters lanes"], part: slice
+    ) -> Annotated[np.ndarray, "samples 19 lanes"]:
+        """Return the states of a part of the flights every SAMPLE_S, the lanes of one after the other."""
+        x0, lanes = self.x0[:, part], theta.shape[1]
+        count = x0.shape[1]
+        return roll_out(
+            self.phi,
+            x0=np.repeat(x0, lanes, axis=1),
+            drive=self.drive[:, :, part],
+            flight=self.constants[:, part],
+            theta=np.tile(theta, (1, count)),
+            step_s=SAMPLE_S / self.fine,
+            every=self.fine,
+            lane_flight=np.repeat(np.arange(count), lanes),
+            rows=INTEGRAL.stop,
+            compiled=True,
         )
 
 
@@ -143,25 +162,17 @@ class ClosedLoop:
         latency = np.asarray(latency_of(NUMPY, self._batches[0].phi.parts(theta)))
         latency_s = np.broadcast_to(latency, (lanes,))
 
+        together = _flights_together(lanes)
+
         def predict(batch: _Batch) -> list[tuple[int, Result]]:
-            count = len(batch.flights)
-            samples = roll_out(
-                batch.phi,
-                x0=np.repeat(batch.x0, lanes, axis=1),
-                drive=batch.drive,
-                flight=batch.constants,
-                theta=np.tile(theta, (1, count)),
-                step_s=SAMPLE_S / batch.fine,
-                every=batch.fine,
-                lane_flight=np.repeat(np.arange(count), lanes),
-                rows=INTEGRAL.stop,
-                compiled=True,
-            )
             results = []
-            for k, index in enumerate(batch.flights):
-                recording = self.recordings[index]
-                of_flight = samples[: recording.bins * PER_BIN + 1, :, k * lanes : (k + 1) * lanes]
-                results.append((index, work(index, _means(recording, of_flight, latency_s))))
+            for first in range(0, len(batch.flights), together):
+                part = batch.flights[first : first + together]
+                samples = batch.samples(theta, slice(first, first + together))
+                for k, index in enumerate(part):
+                    recording = self.recordings[index]
+                    of_flight = samples[: recording.bins * PER_BIN + 1, :, k * lanes : (k + 1) * lanes]
+                    results.append((index, work(index, _means(recording, of_flight, latency_s))))
             return results
 
         batches = parallel.each(predict, self._batches, self.jobs)
@@ -221,6 +232,9 @@ class ClosedLoop:
         """
         updated = {i for name in effects for i in self.space.groups[name]} | self._products
         rows = [i for i in self._rows if afresh or self._slopes is None or i in updated]
+        whole = len(rows) == len(self._rows)
+        if whole:
+            self._slopes = None  # before the next ones are made: of many flights they are large
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _THETA_STEP
@@ -237,13 +251,20 @@ class ClosedLoop:
         sizes[0] = sum(float(np.square(r).sum()) for r in base)
         sizes[[1 + row for row in rows]] = np.sum(squares, axis=0)
         self.space.check_finite(sizes)
-        whole = len(rows) == len(self._rows)
         result = Slopes(
             parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if whole else self._slopes
         )
         if whole:
             self._slopes = result
         return result
+
+
+def _flights_together(lanes: int) -> int:
+    """Return how many flights to roll out together: as few as fill nine tenths of the SIMD lanes.
+
+    Few flights take little memory.
+    """
+    return next(n for n in range(1, _TOGETHER + 1) if 10 * (-n * lanes % _TOGETHER) <= n * lanes)
 
 
 def _drive(states: States, stages: np.ndarray) -> np.ndarray:

@@ -24,6 +24,7 @@ from trimtab.host.trace.flight_fit.whitening import (
     Whitening,
     affordable,
     autoregression,
+    regressors,
     usable_bins,
     whitened,
 )
@@ -143,5 +144,6 @@ def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
     if not pairs:
         return None
     order = min(order, affordable(sum(int(known.sum()) for *_, known in pairs)))
-    differences = [(first - second) / np.sqrt(2.0) for first, second, _ in pairs]
-    return autoregression(differences, [known for *_, known in pairs], order)
+    return autoregression(
+        regressors((first - second) / np.sqrt(2.0), known, order) for first, second, known in pairs
+    )

@@ -9,7 +9,7 @@ keep a slow part; `trimtab.host.trace.flight_fit.fit.fit_with_whitening` allows 
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -26,6 +26,9 @@ WINDOWS = ((1, 1), (2, 2), (3, 3), (4, 6))
 """First and last bin of each window, counted back from the current bin. An autoregression of order n uses the
 means over the first n windows.
 """
+
+_TRIANGLES = 64
+"""Most triangles of flights in memory."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -59,21 +62,37 @@ def span_of(order: int) -> int:
     return WINDOWS[order - 1][1]
 
 
-def autoregression(residuals: Sequence[np.ndarray], known: Sequence[np.ndarray], order: int) -> Whitening:
-    """Return the autoregression fitted to residuals by least squares.
+@dataclass(frozen=True, kw_only=True)
+class Regressors:
+    """Residual of a flight, reduced to what an autoregression needs.
 
-    residuals: (bins, 12) for each flight. known: mask (bins,) for each flight. A bin is used if it and the
-    `span_of(order)` bins before it are known.
+    triangle: R of [past | residual] = Q R over the usable bins. count: number of usable bins.
     """
-    # Flight by flight, each is reduced to the triangle of its orthogonal factorisation.
-    triangles, count, past = [], 0, CHANNELS * order
-    for r, mask in zip(residuals, known, strict=True):
-        usable = usable_bins(mask, span_of(order))
-        columns = np.concatenate([_past(r, order)[usable], r[usable]], axis=1)
-        triangles.append(_triangle(columns))
-        count += len(usable)
+
+    triangle: Annotated[np.ndarray, "rows past_and_12"]
+    count: int
+
+
+def regressors(
+    residual: Annotated[np.ndarray, "bins 12"], known: Annotated[np.ndarray, "bins"], order: int
+) -> Regressors:
+    """Return the regressors of a flight. A bin is used if it and the `span_of(order)` before it are known."""
+    usable = usable_bins(known, span_of(order))
+    columns = np.concatenate([_past(residual, order)[usable], residual[usable]], axis=1)
+    return Regressors(triangle=_triangle(columns), count=len(usable))
+
+
+def autoregression(flights: Iterable[Regressors]) -> Whitening:
+    """Return the autoregression fitted to the residuals of flights by least squares."""
+    triangles: list[np.ndarray] = []
+    count = 0
+    for flight in flights:
+        triangles.append(flight.triangle)
+        count += flight.count
+        if len(triangles) == _TRIANGLES:
+            triangles = [_triangle(np.concatenate(triangles))]
     triangle = _triangle(np.concatenate(triangles))
-    X, Y = triangle[:, :past], triangle[:, past:]
+    X, Y = triangle[:, :-CHANNELS], triangle[:, -CHANNELS:]
     coefficients, *_ = np.linalg.lstsq(X, Y, rcond=None)
     innovations = Y - X @ coefficients
     return Whitening(coefficients=coefficients, innovation=innovations.T @ innovations / count)

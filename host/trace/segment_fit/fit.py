@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Annotated
 
@@ -13,7 +13,7 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.search import Names
+from trimtab.host.trace.search import Names, Score
 from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.linearise import Basis
 from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
@@ -91,22 +91,18 @@ class SegmentFitter:
         """Return the set `effects` refitted from `start`."""
         return refit(self.segment_model, start.data, effects, start)
 
-    def scorers(self, fit: SegmentFit) -> list[Callable[[Names], float]]:
-        """Return two functions that give the log evidence of any set in the linearisation of `fit`.
+    def scorers(self, fit: SegmentFit) -> list[Score]:
+        """Return two functions that give the log evidence of sets in the linearisation of `fit`.
 
         The first uses the process disturbance fitted with every candidate, the second that of `fit`.
         """
         prior, candidates = self.prior, self.space.candidates
         saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
         whites = [evidence.marginal_grams(fit.lin, process, prior) for process in (saturated, fit.process)]
+        theta_scaled, limits = fit.lin.theta_scaled, self.space.bounds
         return [
-            lambda names, white=white: evidence.log_evidence(
-                white.gram,
-                white.log_det,
-                fit.lin.theta_scaled,
-                prior.precision(names),
-                len(names),
-                self.space.bounds,
+            lambda sets, white=white: evidence.log_evidences(
+                white.gram, white.log_det, theta_scaled, prior, sets, limits
             )
             for white in whites
         ]
@@ -184,11 +180,12 @@ def refit(
             data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
             basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
         iteration += 1
+        del lin  # before the next one is made: of many flights each is large
     return SegmentFit(
         effects=tuple(sorted(effects)),
-        log_evidence=evidence.log_evidence(
-            white.gram, white.log_det, theta_scaled, precision, len(effects), space.bounds
-        ),
+        log_evidence=evidence.log_evidences(
+            white.gram, white.log_det, theta_scaled, prior, [effects], space.bounds
+        )[0],
         theta_scaled=theta_scaled + step,
         nuisances=nuisances + evidence.nuisance_step(lin, white, prior, step),
         covariance=covariance,
@@ -225,18 +222,20 @@ def at_parameters(
         Log evidence of the flight fit, in nats.
     """
     prior, data, nuisances, process = segment_model.space.prior, start.data, start.nuisances, start.process
-    for last in (False, True):
+    fixed = np.zeros(len(theta_scaled))
+    passes = 2
+    while True:
         lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
-        nuisance_step = evidence.nuisance_step(
-            lin, evidence.marginal_grams(lin, process, prior), prior, np.zeros(len(theta_scaled))
-        )
+        white = evidence.marginal_grams(lin, process, prior)
+        nuisance_step = evidence.nuisance_step(lin, white, prior, fixed)
         nuisances = nuisances + nuisance_step
-        if not last:
-            data = data.with_w(
-                evidence.disturbances(lin, process, np.zeros(len(theta_scaled)), nuisance_step)
-            )
+        passes -= 1
+        if not passes:
+            break
+        data = data.with_w(evidence.disturbances(lin, process, fixed, nuisance_step))
+        del lin  # before the next one is made: of many flights each is large
     return SegmentFit(
         effects=effects,
         log_evidence=log_evidence,

@@ -20,14 +20,14 @@ from trimtab.host.models import dynamics
 from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.linearisation import Linearisation, Reduced, reduced
+from trimtab.host.trace.linearisation import Linearisation, OwnGrams
 from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
 from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
 
 Result = TypeVar("Result")
 
-_STORED = 400
-"""Segments whose columns of the basis are stored, which take about 130 MB."""
+_STORED = 200
+"""Segments whose columns of the basis are stored, which take about 70 MB."""
 
 _PART = 32
 """Segments of a flight that are rolled out together."""
@@ -60,7 +60,7 @@ class Basis:
     x0: Annotated[np.ndarray, "segments 12"]
     disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
     memory: Annotated[np.ndarray, "memory 1 segments"]
-    _stored: dict[int, np.ndarray] = field(default_factory=dict, init=False, repr=False)
+    _stored: dict[int, tuple[np.ndarray, np.ndarray]] = field(default_factory=dict, init=False, repr=False)
 
     def columns(
         self,
@@ -68,19 +68,22 @@ class Basis:
         part: Segments,
         segments: Annotated[np.ndarray, "part"],
         flight: int,
-    ) -> Annotated[np.ndarray, "part unknowns residuals"]:
-        """Return the columns of some segments of a flight, in units of sigma.
+    ) -> tuple[
+        Annotated[np.ndarray, "part unknowns residuals"], Annotated[np.ndarray, "part unknowns unknowns"]
+    ]:
+        """Return the columns of some segments of a flight, in units of sigma, and their Grams.
 
         They are 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin. part: the
         segments with the indices `segments`.
         """
         key = int(segments[0])
-        columns = self._stored.get(key)
-        if columns is None:
+        stored = self._stored.get(key)
+        if stored is None:
             columns = self._taken(segment_model, part, segments, flight)
+            stored = columns, columns @ np.swapaxes(columns, 1, 2)
             if segments[-1] < _STORED:
-                self._stored[key] = columns
-        return columns
+                self._stored[key] = stored
+        return stored
 
     def _taken(
         self, segment_model: SegmentModel, part: Segments, segments: np.ndarray, flight: int
@@ -251,10 +254,10 @@ def fitted_x0(
     memory = remembered(segment_model, data, theta_scaled[:, None])
 
     def fit(part: Segments, segments: np.ndarray, flight: int) -> None:
-        states = basis.columns(segment_model, part, segments, flight)[:, :STATES]
+        columns = basis.columns(segment_model, part, segments, flight)
         for _ in range(iterations):
             x = _stepped_x0(
-                segment_model, part, theta_scaled, nuisances[flight], states, memory[:, :, segments]
+                segment_model, part, theta_scaled, nuisances[flight], columns, memory[:, :, segments]
             )
             part = part.with_x0(x)
         x0[segments] = part.x0
@@ -268,16 +271,17 @@ def _stepped_x0(
     part: Segments,
     theta_scaled: np.ndarray,
     nuisances: np.ndarray,
-    states: np.ndarray,
+    columns: tuple[np.ndarray, np.ndarray],
     memory: np.ndarray,
 ) -> np.ndarray:
     """Return the initial states (segments, 12) after a Gauss-Newton step towards the measurements.
 
-    states: columns (segments, 12, residuals) of the initial state. memory: of `remembered`.
+    columns: of the basis, and their Grams. memory: of `remembered`.
     """
     lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory, 1)
     residual = lanes.jacobian(segment_model, part, bins=False)[:, 0]
-    normal = states @ np.swapaxes(states, 1, 2) + 1e-9 * np.eye(STATES)
+    states, gram = (each[:, :STATES] for each in columns)
+    normal = gram[:, :, :STATES] + 1e-9 * np.eye(STATES)
     return part.x0 + np.linalg.solve(normal, states @ residual[:, :, None])[:, :, 0]
 
 
@@ -300,11 +304,20 @@ def linearise(
     memory = remembered(segment_model, data, points)
     x0 = data.x0.copy()
 
-    def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[Reduced, np.ndarray]:
-        columns = basis.columns(segment_model, part, segments, flight)
-        states, starts = columns[:, :STATES], memory[:, :, segments]
+    lin = Linearisation.blank(
+        data.bins,
+        piece=piece,
+        piece_flight=piece_flight,
+        theta_scaled=theta_scaled,
+        nuisances=nuisances,
+        jobs=segment_model.jobs,
+    )
+
+    def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[OwnGrams, np.ndarray]:
+        columns, columns_gram = basis.columns(segment_model, part, segments, flight)
+        starts = memory[:, :, segments]
         x0[segments] = _stepped_x0(
-            segment_model, part, theta_scaled, nuisances[flight], states, starts[:, :1]
+            segment_model, part, theta_scaled, nuisances[flight], (columns, columns_gram), starts[:, :1]
         )
         lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, count)
         lanes.steps[1:] = _THETA_STEP
@@ -313,21 +326,15 @@ def linearise(
         w = part.disturbance_frd.reshape(len(segments), 1, -1)
         A[:, 0] += (w @ columns[:, STATES + NUISANCES :])[:, 0]
         sizes = np.einsum("spn,spn->p", A, A)
-        A = np.concatenate([A, columns], axis=1)
-        gram = _without_x0(A @ np.swapaxes(A, 1, 2), count)
-        return reduced(gram, count + NUISANCES, piece[segments]), sizes
+        cross = A @ np.swapaxes(columns, 1, 2)
+        gram = np.block([[A @ np.swapaxes(A, 1, 2), cross], [np.swapaxes(cross, 1, 2), columns_gram]])
+        return lin.reduce(segments, _without_x0(gram, count)), sizes
 
     parts, sizes = zip(*_each_part(segment_model, data, reduce), strict=True)
     segment_model.space.check_finite(np.sum(sizes, axis=0))
-    linearisation = Linearisation.of(
-        parts,
-        piece=piece,
-        piece_flight=piece_flight,
-        theta_scaled=theta_scaled,
-        nuisances=nuisances,
-        jobs=segment_model.jobs,
-    )
-    return linearisation, x0
+    for own in parts:
+        lin.add(own)
+    return lin, x0
 
 
 def _pieces(flight: np.ndarray, flights: int) -> tuple[np.ndarray, np.ndarray]:

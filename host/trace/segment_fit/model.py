@@ -15,12 +15,14 @@ import numpy as np
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_t_vec
 from trimtab.host.codegen.batch import Batch
+from trimtab.host.codegen.compiler import compiled
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.models import dynamics, slots
 from trimtab.host.models.airframe import Part
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.segment_fit.kernel import SegmentKernel
 from trimtab.host.vehicle import Vehicle
 
 Scalar = Any
@@ -94,7 +96,15 @@ class SegmentModel:
 
     def bind(self, name: str, lanes: int) -> Batch:
         """Return a program with arrays for `lanes` lanes. name: "step", "rotors" or "memory"."""
-        return Batch(self._programs[name], lanes, compiled=True)
+        return Batch(self._programs[name], lanes)
+
+    @cached_property
+    def kernel(self) -> SegmentKernel | None:
+        """The programs in C; None for CasADi's virtual machine, which `bind` runs.
+
+        Raises CodegenError where TRIMTAB_ENGINE requests C and that is not possible.
+        """
+        return compiled(lambda compiler: SegmentKernel(self._programs, compiler))
 
     def memory_of(self, owner: str) -> int:
         """Return the number of states that the effect `owner` adds; 0 if the owner is not an effect."""

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from typing import Annotated
 
 import numpy as np
@@ -46,39 +47,67 @@ def roll_out(
     memory
         Initial states of the effects; `remembered` along the measured flight if None.
     """
+    if segment_model.memory and memory is None:
+        memory = remembered(segment_model, data, theta_scaled)
+    if memory is None:
+        memory = np.empty((0, *x0.shape[1:]))
+    kernel = segment_model.kernel
+    if kernel is None:
+        return _roll_out_steps(segment_model, data, x0, theta_scaled, nuisances, bins, memory)
+    predicted = kernel.roll_out(
+        command=data.command,
+        delay=segment_model.delay_s(theta_scaled) / segment_model.dt_s,
+        series=_series(data),
+        per_bin=round(BIN_S / data.dt_s),
+        x0=x0,
+        theta_scaled=theta_scaled,
+        memory=memory,
+        nuisances=nuisances,
+        bins=bins,
+    )
+    return predicted.transpose(1, 2, 3, 0)
+
+
+def _series(data: Segments) -> Annotated[np.ndarray, "segments steps 21"]:
+    """Return what drives a step in addition to the commands, in the order of the inputs of "step"."""
+    t_s = data.start_s[:, None] + np.arange(data.steps) * data.dt_s
+    columns = [column[:, :, None] for column in (data.voltage_ratio, t_s, data.shift_s)]
+    w = np.repeat(data.disturbance_frd, round(BIN_S / data.dt_s), axis=1)
+    return np.concatenate([data.R_ned_frd, data.rate_frd, *columns, w], axis=2)
+
+
+def _roll_out_steps(
+    segment_model: SegmentModel,
+    data: Segments,
+    x0: np.ndarray,
+    theta_scaled: np.ndarray,
+    nuisances: np.ndarray,
+    bins: np.ndarray | None,
+    memory: np.ndarray,
+) -> Annotated[np.ndarray, "steps 12 lanes segments"]:
+    """Return what `roll_out` returns, by CasADi step by step."""
     lanes, count = x0.shape[1:]
     total = lanes * count
     step, pre = segment_model.bind("step", total), data.command.shape[1] - data.steps
     inputs, outputs = step.inputs, step.outputs
-
-    def load(name: str, value: np.ndarray) -> None:
-        """Load an input of every segment, (segments,) or (segments, n), the same in all lanes."""
-        rows = value.T[:, None] if value.ndim == 2 else value
-        inputs[name].reshape(-1, lanes, count)[:] = rows
-
     repeated = np.repeat(theta_scaled, count, axis=1)
     inputs["z"][:] = repeated
     inputs["body"][:] = x0.reshape(STATES, total)
     inputs["nuisances"][:] = nuisances.reshape(NUISANCES, total)
+    inputs["memory"][:] = memory.reshape(segment_model.memory, total)
     commands = _delayed(segment_model, data.command, theta_scaled)
     inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], repeated)
-    if segment_model.memory:
-        memory = remembered(segment_model, data, theta_scaled) if memory is None else memory
-        inputs["memory"][:] = memory.reshape(segment_model.memory, total)
+    series = _series(data).transpose(1, 2, 0)[:, :, None]
+    if bins is not None:
+        series = np.repeat(series, lanes, axis=2)
+        series[:, -6:] += np.repeat(bins, round(BIN_S / data.dt_s), axis=0)[..., None]
+    names = ("attitude", "rate", "voltage", "t_s", "shift_s", "w")
+    ends = np.cumsum([inputs[name].shape[0] for name in names])
     predicted = np.empty((data.steps, CHANNELS, lanes, count))
-    per_bin = round(BIN_S / data.dt_s)
-    w = inputs["w"].reshape(6, lanes, count)
     for k in range(data.steps):
-        index = k // per_bin
-        w[:] = data.disturbance_frd[:, index].T[:, None]
-        if bins is not None:
-            w += bins[index][:, :, None]
         inputs["command"][:] = commands[pre + k]
-        load("attitude", data.R_ned_frd[:, k])
-        load("rate", data.rate_frd[:, k])
-        load("voltage", data.voltage_ratio[:, k])
-        load("t_s", data.start_s + k * data.dt_s)
-        load("shift_s", data.shift_s[:, k])
+        for name, rows in zip(names, np.split(series[k], ends[:-1]), strict=True):
+            inputs[name].reshape(-1, lanes, count)[:] = rows
         step()
         predicted[k] = outputs["predicted_out"].reshape(CHANNELS, lanes, count)
         inputs["body"][:] = outputs["body_out"]
@@ -139,15 +168,19 @@ def remembered(
 
     def integrate(flights: np.ndarray) -> None:
         segments = np.flatnonzero(np.isin(data.flight, flights))
-        states = _along_paths(segment_model, values, data.paths[flights])
+        states = along(values, data.paths[flights])
         position = data.path_start_s[segments] / PATH_S
-        low = np.clip(position.astype(int), 0, len(states) - 2)
+        low = np.clip(position.astype(int), 0, states.shape[1] - 2)
         share = np.clip(position - low, 0.0, 1.0)[:, None]
         flight = np.searchsorted(flights, data.flight[segments])
-        before, after = (states[low + end, :, :, flight] for end in (0, 1))
+        before, after = (states[flight, low + end] for end in (0, 1))
         starts = (1.0 - share[..., None]) * before + share[..., None] * after
         out[:, :, segments] = np.moveaxis(starts[:, :, lane], 0, 2)
 
+    kernel = segment_model.kernel
+    along = (
+        partial(_along_paths, segment_model) if kernel is None else partial(kernel.along_paths, dt_s=PATH_S)
+    )
     together = np.split(np.arange(len(data.paths)), np.arange(_TOGETHER, len(data.paths), _TOGETHER))
     parallel.each(integrate, together, segment_model.jobs)
     return out
@@ -157,8 +190,8 @@ def _along_paths(
     segment_model: SegmentModel,
     theta_scaled: Annotated[np.ndarray, "parameters lanes"],
     paths: Annotated[np.ndarray, "flights steps 12"],
-) -> Annotated[np.ndarray, "steps memory lanes flights"]:
-    """Return the states of the effects along the measured paths, every PATH_S."""
+) -> Annotated[np.ndarray, "flights steps memory lanes"]:
+    """Return the states of the effects along the measured paths, every PATH_S, by CasADi step by step."""
     flights, steps = paths.shape[:2]
     lanes = theta_scaled.shape[1]
     program = segment_model.bind("memory", flights * lanes)
@@ -181,7 +214,7 @@ def _along_paths(
         body[:] = 0.5 * (paths[:, k] + after).T[:, None]
         program()
         now = now + PATH_S * program.outputs["rates"]
-    return states
+    return states.transpose(3, 0, 1, 2)
 
 
 def residuals(

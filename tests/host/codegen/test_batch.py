@@ -7,6 +7,8 @@ import numpy as np
 import pytest
 
 from trimtab.host.codegen.batch import Batch
+from trimtab.host.codegen.compiler import find_compiler
+from trimtab.host.codegen.simd import aligned, lane_count, lane_source, lanes_of, pointer, simd_library
 
 
 def every_operation() -> casadi.Function:
@@ -26,13 +28,37 @@ def every_operation() -> casadi.Function:
     return casadi.Function("every", [x, u], [first, second], ["x", "u"], ["first", "second"], {"cse": True})
 
 
-@pytest.mark.parametrize("lanes", [1, 7, 8, 19])
-@pytest.mark.parametrize("compiled", [False, True])
-def test_batch_every_operation_equals_casadi(require, lanes, compiled):
-    if compiled:
-        require("compiler")
+def in_c(function: casadi.Function, inputs: list[np.ndarray]) -> list[np.ndarray]:
+    """Return the outputs (rows, lanes) of the function over one group of lanes in C."""
+    compiler = find_compiler()
+    assert compiler is not None
+    names = "abcd"[: function.n_in() + function.n_out()]
+    source = lane_source(function, "evaluate")
+    source += f"void run({', '.join(f'V *{name}' for name in names)}) {{ evaluate({', '.join(names)}); }}"
+    library = simd_library(source, compiler)
+    width = lane_count(library)
+    arrays = [lanes_of(array[:, :width].T, width)[0] for array in inputs]
+    arrays += [aligned((function.size1_out(i), width)) for i in range(function.n_out())]
+    library.run(*map(pointer, arrays))
+    return arrays[function.n_in() :]
+
+
+def test_every_operation_in_c_equals_casadi(require):
+    require("compiler")
     function = every_operation()
-    batch = Batch(function, lanes, compiled=compiled)
+    rng = np.random.default_rng(1)
+    inputs = [rng.standard_normal((size, 8)) for size in (4, 2)]
+    outputs = in_c(function, inputs)
+    for lane in range(outputs[0].shape[1]):
+        expected = function(*(array[:, lane] for array in inputs))
+        for got, want in zip(outputs, expected, strict=True):
+            np.testing.assert_allclose(got[:, lane], np.array(want).ravel(), rtol=1e-13, atol=1e-14)
+
+
+@pytest.mark.parametrize("lanes", [1, 7, 8, 19])
+def test_batch_every_operation_equals_casadi(lanes):
+    function = every_operation()
+    batch = Batch(function, lanes)
     rng = np.random.default_rng(1)
     for name, array in batch.inputs.items():
         array[:] = rng.standard_normal(array.shape)
@@ -44,12 +70,11 @@ def test_batch_every_operation_equals_casadi(require, lanes, compiled):
             np.testing.assert_allclose(got[:, lane], np.array(want).ravel(), rtol=1e-13, atol=1e-14)
 
 
-def test_batch_without_a_compiler_has_the_same_bits_for_any_number_of_lanes(monkeypatch):
-    monkeypatch.setenv("TRIMTAB_ENGINE", "vm")
+def test_batch_has_the_same_bits_for_any_number_of_lanes():
     x = np.random.default_rng(2).standard_normal((4, 20))
     results = []
     for lanes in (3, 20):
-        batch = Batch(every_operation(), lanes, compiled=True)
+        batch = Batch(every_operation(), lanes)
         batch.inputs["x"][:] = x[:, :lanes]
         batch()
         results.append(batch.outputs["first"][:, :3].copy())

@@ -11,7 +11,7 @@ from scipy.optimize import minimize
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, reduced
+from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 
 BINS, P, K, ROWS = 2, 3, 2, 40
 PROCESS = DisturbanceVariances(log_lateral=np.log(0.5), log_axial=np.log(0.2), log_torque=np.log(2.0))
@@ -37,14 +37,16 @@ def _linearisation(
     gram: np.ndarray, flight: np.ndarray, theta_scaled: np.ndarray, nuisances: np.ndarray
 ) -> Linearisation:
     """Reduce Grams (S, n, n) of [r | S | L | Z], one flight after the other."""
-    parts = [reduced(gram[flight == each], 1 + P + K, flight[flight == each]) for each in np.unique(flight)]
-    return Linearisation.of(
-        parts,
+    lin = Linearisation.blank(
+        BINS,
         piece=flight,
         piece_flight=np.arange(len(nuisances)),
         theta_scaled=theta_scaled,
         nuisances=nuisances,
     )
+    for each in np.unique(flight):
+        lin.add(lin.reduce(np.flatnonzero(flight == each), gram[flight == each]))
+    return lin
 
 
 @pytest.fixture(scope="module")
@@ -96,9 +98,10 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
     expected = -0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1])
     expected += RULES.prior_log_odds * len(chosen)
     white = evidence.marginal_grams(dense.lin, PROCESS, PRIOR)
-    assert evidence.log_evidence(
-        white.gram, white.log_det, dense.lin.theta_scaled, precision, len(chosen), FREE
-    ) == pytest.approx(expected, abs=1e-7)
+    _, value = evidence.log_evidences(
+        white.gram, white.log_det, dense.lin.theta_scaled, PRIOR, [("b",), chosen], FREE
+    )
+    assert value == pytest.approx(expected, abs=1e-7)
 
 
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
@@ -148,7 +151,8 @@ def test_gradient_of_the_evidence_equals_finite_differences(dense: Dense) -> Non
     def value(logs: np.ndarray) -> float:
         process = DisturbanceVariances(log_lateral=logs[0], log_axial=logs[1], log_torque=logs[2])
         white = evidence.marginal_grams(dense.lin, process, PRIOR)
-        return evidence.log_evidence(white.gram, white.log_det, dense.lin.theta_scaled, precision, 0, FREE)
+        gram, log_det, theta_scaled = white.gram, white.log_det, dense.lin.theta_scaled
+        return evidence.log_evidences(gram, log_det, theta_scaled, PRIOR, [("a",)], FREE)[0]
 
     slope = evidence._evidence_and_slope(dense.lin, PROCESS, PRIOR, precision)[1]
     for i, step in enumerate(h * np.eye(3)):

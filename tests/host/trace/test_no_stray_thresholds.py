@@ -57,6 +57,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "flight_fit/whitening.py": {
         "CHANNELS": "size of a bin's residual",
         "WINDOWS": "basis of the autoregression",
+        "_TRIANGLES": "size of a store, which changes results by rounding alone",
     },
     "next_flight/information.py": {
         "_ROLLED": "number of segments of a manoeuvre that are rolled out",

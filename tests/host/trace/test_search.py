@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -13,7 +13,7 @@ from trimtab.host.trace import search as module
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.parameters import ParameterSpace, space
-from trimtab.host.trace.search import Names, search
+from trimtab.host.trace.search import Names, Score, search
 from trimtab.host.vehicle import load_vehicle
 
 DRAG, GAIN = ("quadratic-drag",), ("thrust-gain",)
@@ -50,8 +50,8 @@ class KnownFitter:
             theta_scaled[list(self.space.groups[name])] = self.size
         return Known(names, self.evidence[names], theta_scaled)
 
-    def scorers(self, fit: Known) -> list[Callable[[Names], float]]:
-        return [lambda names: self.believed[names]]
+    def scorers(self, fit: Known) -> list[Score]:
+        return [lambda sets: [self.believed[names] for names in sets]]
 
     def underrated_extensions(self, fit: Known) -> list[Names]:
         return [names for names in self.hidden if set(fit.effects) < set(names)]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -88,6 +89,43 @@ def test_roll_out_responds_to_a_thrust_step_with_the_motor_lag() -> None:
     np.testing.assert_allclose(force[:, 2, 0, 0], expected, atol=1e-9)
 
 
+def test_roll_out_and_remembered_states_in_c_equal_those_of_casadi(
+    monkeypatch: pytest.MonkeyPatch, require: Callable[[str], None]
+) -> None:
+    require("compiler")
+    rng = np.random.default_rng(6)
+    count, segments = 11, 3
+    x0 = 0.2 * rng.normal(size=(segments, 12))
+    data = make(HOVER * (1.0 + 0.1 * rng.normal(size=(segments, PRE + STEPS, 4))), x0)
+    data = replace(
+        data,
+        flight=np.array([0, 0, 1]),
+        paths=0.3 * rng.normal(size=(2, 40, 12)),
+        path_start_s=np.array([0.0, 0.31, 0.05]),
+        R_ned_frd=Rotation.from_rotvec(0.2 * rng.normal(size=(segments * STEPS, 3)))
+        .as_matrix()
+        .reshape(segments, STEPS, 9),
+        shift_s=2e-3 * rng.normal(size=(segments, STEPS)),
+        disturbance_frd=0.1 * rng.normal(size=(segments, 6, 6)),
+        start_s=np.arange(3.0),
+    )
+    theta_scaled = 0.3 * rng.normal(size=(len(SPACE.columns), count))
+    theta_scaled[SPACE.groups["actuation-delay"][0]] = np.linspace(0.0, 2.5, count)
+    nuisances = 1e-2 * rng.normal(size=(model.NUISANCES, count, segments))
+    bins = 0.1 * rng.normal(size=(6, 6, count))
+    results = []
+    for engine in ("c", "vm"):
+        monkeypatch.setenv("TRIMTAB_ENGINE", engine)
+        form = SegmentModel(VEHICLE, SPACE, dt_s=DT, in_newton=False, rate_driven=False)
+        lane = (np.repeat(x0.T[:, None], count, axis=1), theta_scaled, nuisances)
+        results.append(
+            (rollout.remembered(form, data, theta_scaled), rollout.roll_out(form, data, *lane, bins))
+        )
+    for ours, theirs in zip(*results, strict=True):
+        assert np.abs(theirs).max() > 0.1
+        np.testing.assert_allclose(ours, theirs, rtol=1e-9, atol=1e-9)
+
+
 def test_columns_of_small_steps_equal_central_differences() -> None:
     rng = np.random.default_rng(3)
     x0 = 0.2 * rng.normal(size=(2, 12))
@@ -95,7 +133,7 @@ def test_columns_of_small_steps_equal_central_differences() -> None:
     data = make(command, x0)
     theta_scaled = 0.1 * rng.normal(size=len(SPACE.columns))
     nuisances = np.zeros((1, model.NUISANCES))
-    columns = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
+    columns, _ = linearise.basis(FORM, data, theta_scaled, nuisances).columns(FORM, data, np.arange(2), 0)
 
     def residual(x0: np.ndarray, w: np.ndarray) -> np.ndarray:
         at = replace(data, x0=x0, disturbance_frd=w)
