@@ -39,7 +39,7 @@ class Linearised:
 
     def chained(
         self, start: Annotated[np.ndarray, "segments size columns"]
-    ) -> Annotated[np.ndarray, "segments steps 12 columns"]:
+    ) -> Annotated[np.ndarray, "segments steps 12 slopes"]:
         """Return the slopes of the predictions by the free parameters, then by changes of the start."""
         count, steps, size, parameters = self.by_theta.shape
         slope = np.concatenate([np.zeros((count, size, parameters)), start], axis=2)
@@ -54,7 +54,7 @@ class Linearised:
         self,
         weight: Annotated[np.ndarray, "12"],
         others: Annotated[np.ndarray, "segments steps 12 columns"],
-    ) -> Annotated[np.ndarray, "segments columns columns"]:
+    ) -> Annotated[np.ndarray, "segments products products"]:
         """Return the weighted products of all pairs of slopes of the predictions, summed over the steps.
 
         The first columns are the slopes by the accelerations, 3 for each node. `others` follow them. The sums

@@ -96,7 +96,7 @@ class SegmentKernel:
         )
         return states[..., : theta_scaled.shape[1]]
 
-    def _columns(self, array: Annotated[np.ndarray, "... lanes"]) -> Annotated[np.ndarray, "... lanes"]:
+    def _columns(self, array: Annotated[np.ndarray, "... lanes"]) -> Annotated[np.ndarray, "... padded"]:
         """Return the array aligned for vectors, in whole groups of lanes, the last one repeated."""
         lanes = array.shape[-1]
         out = aligned((*array.shape[:-1], -(-lanes // self._width) * self._width))
