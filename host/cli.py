@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import gc
 import os
 import shutil
 import signal
@@ -22,6 +23,9 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 
+_GARBAGE_THRESHOLD = 50_000
+"""New objects between two searches for garbage. Imports make many that stay; by default, 700, a search would
+go through them again and again."""
 _HELP_WIDTH_MIN = 20
 """Columns of a verb's line of help, at least."""
 
@@ -104,8 +108,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     words = list(sys.argv[1:] if argv is None else argv)
     # For thousands of small matrices, threads are slower, and sums would depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    # A plugin of another package must not change how files are checked, and the search for one costs time.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # A roll-out that overflows shows in the result, which says so; stderr has one line for each problem.
     warnings.simplefilter("ignore", RuntimeWarning)
+    if is_process:
+        gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
         output.prepare()
         if _verb_of(words):
