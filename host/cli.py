@@ -63,7 +63,11 @@ VERBS = (
         module="correct",
         help="Make a feed-forward that compensates a model's effects and network on board.",
     ),
-    Verb(name="import", module="import_", help="Convert a foreign flight log to a Trimtab log."),
+    Verb(
+        name="import",
+        module="import_",
+        help="Say what a foreign flight log holds, or convert it to a Trimtab log.",
+    ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),

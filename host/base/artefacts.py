@@ -29,6 +29,17 @@ def content_id(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:12]
 
 
+def content_id_of(path: Path) -> str:
+    """Return the content id of a file, or of a folder's files in the order of their names."""
+    digest = hashlib.sha256()
+    for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if part.is_file():
+            with part.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+    return digest.hexdigest()[:12]
+
+
 def check_output(path: str | Path, force: bool = False) -> Path:
     """Check that the file `path` can be written, and return it. Call this before the work starts.
 

@@ -34,6 +34,16 @@ WORDS = {
 }
 """Names of the parts of a recording in messages."""
 
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """A part of a foreign log, us since its first row, that was left out, and the reason."""
+
+    begin_us: int
+    end_us: int
+    reason: str
+
+
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
 LONGEST_S = 24 * 3600.0
@@ -82,6 +92,8 @@ class Recording:
         Mass that the vehicle's controller used.
     unknown
         Properties that the recording does not determine.
+    cut
+        Parts that the reader left out.
     """
 
     source: str
@@ -104,6 +116,7 @@ class Recording:
     v_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     a_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     mass_kg: float | None = None
+    cut: tuple[Cut, ...] = ()
 
     def __post_init__(self) -> None:
         strange = sorted(set(self.unknown) - set(get_args(Unknown)))

@@ -33,7 +33,7 @@ def write(
     vehicle: Vehicle,
     path: Path,
     *,
-    profile: str,
+    format: str,
     provenance: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
     """Write the log at `path`, and return its number of messages by topic.
@@ -45,7 +45,7 @@ def write(
     r = recording
     tracking_us = airborne(r)
     plausible.check(r, tracking_us)
-    origin = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    origin = {"source_format": format, "source_file": r.source, "unknown": " ".join(r.unknown)}
     return write_imported(
         path,
         vehicle=_as_declared(vehicle, r),

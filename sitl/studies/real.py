@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -26,17 +26,17 @@ class Group(Strict):
     name: str
     logs: Annotated[tuple[str, ...], Field(min_length=1)]
     hold_out: tuple[str, ...] = ()
-    profile: Literal["nanobench", "crazyflie-usd", "csv"] | None = None
-    """Profile of `trimtab import` for the logs. Without one, they are Trimtab flight logs."""
+    format: str | None = None
+    """Format of `trimtab import` for the logs. Without one, they are Trimtab flight logs."""
     columns: str | None = None
-    """Column map of the profile csv."""
+    """Column map of the format csv."""
     vehicle: str = "nano"
     """Vehicle of imported flights: a name, or the path of a vehicle file."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Group:
-        if (self.profile == "csv") != (self.columns is not None):
-            raise ValueError("the profile csv needs columns, and no other profile takes them")
+        if (self.format == "csv") != (self.columns is not None):
+            raise ValueError("the format csv needs columns, and no other format takes them")
         stems = [Path(log).stem for log in (*self.logs, *self.hold_out)]
         if len(set(stems)) != len(stems):
             raise ValueError("two logs have the same name; rename one of them")
@@ -110,10 +110,10 @@ def _verdict(group: Group, folder: Path) -> dict[str, Any]:
 def _bring_in(group: Group, path: str, folder: Path) -> None:
     """Copy or import the log into `folder` as a Trimtab flight log."""
     target = f"{Path(path).stem}.mcap"
-    if group.profile is None:
+    if group.format is None:
         shutil.copyfile(path, folder / target)
         return
-    words = ["import", group.profile, path, "--vehicle", group.vehicle, "-o", target]
+    words = ["import", group.format, path, "--vehicle", group.vehicle, "-o", target]
     if group.columns is not None:
         words += ["--columns", group.columns]
     done = run_apart(words, folder)

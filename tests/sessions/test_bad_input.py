@@ -141,7 +141,9 @@ def foreign(tmp_path: Path, run: Callable[..., tuple[int, dict[str, Any], str]])
     def bring_in(more: str, *, name: str = "foreign.mcap", seconds: float = 8.0) -> str:
         hover_csv(tmp_path / "hover.csv", seconds=seconds)
         (tmp_path / "map.toml").write_text(MAP + more)
-        code, _, complaint = run("import", "csv", "hover.csv", "--columns", "map.toml", "-o", name, "--force")
+        code, _, complaint = run(
+            "import", "csv", "hover.csv", "--columns", "map.toml", "--vehicle", "nano", "-o", name, "--force"
+        )
         assert code == 0, complaint
         return name
 
@@ -163,7 +165,7 @@ REFERENCE = 'reference_position_m = ["rx", "ry", "rz"]\n'
         ("plan", "bad.toml"),
         ("fly", "eight.ref", "--world", "bad.toml"),
         ("fly", "eight.ref", "--vehicle", "bad.toml"),
-        ("import", "csv", "eight.ref", "--columns", "bad.toml", "-o", "x.mcap"),
+        ("import", "csv", "eight.ref", "--columns", "bad.toml", "--vehicle", "nano", "-o", "x.mcap"),
         ("plan", "figure-eight", "--model", "bad.toml"),
     ],
     ids=["vehicle", "route", "world", "vehicle of a flight", "columns", "model"],
@@ -421,7 +423,7 @@ def test_output_that_exists_is_kept_unless_forced(
         ("fly", ref, "-o", "b.mcap"),
         ("learn", log, "-o", "c.model.toml"),
         ("trace", log, "-o", "out"),
-        ("import", "csv", "hover.csv", "--columns", "map.toml", "-o", "b.mcap"),
+        ("import", "csv", "hover.csv", "--columns", "map.toml", "--vehicle", "nano", "-o", "b.mcap"),
         ("log", "recover", "cut.mcap", "-o", "b.mcap"),
         ("sitl", "--port", "pty", "--truth", "truth.json"),
     ):
@@ -434,7 +436,7 @@ def test_output_that_exists_is_kept_unless_forced(
 def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, tmp_path: Path) -> None:
     hover_csv(tmp_path / "hover.csv")
     (tmp_path / "map.toml").write_text(MAP)
-    for words in (("fly", ref), ("import", "csv", "hover.csv", "--columns", "map.toml")):
+    for words in (("fly", ref), ("import", "csv", "hover.csv", "--columns", "map.toml", "--vehicle", "nano")):
         refused(
             *words,
             "-o",
@@ -493,14 +495,38 @@ def test_import_of_poses_that_never_change_says_what_to_check(refused: Refused, 
     (tmp_path / "still.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *rows]))
     (tmp_path / "map.toml").write_text(MAP)
     parts = ["still.csv: fewer than two different poses", "check the columns of time, position and attitude"]
-    refused("import", "csv", "still.csv", "--columns", "map.toml", "-o", "x.mcap", code=5, parts=parts)
+    refused(
+        "import",
+        "csv",
+        "still.csv",
+        "--columns",
+        "map.toml",
+        "--vehicle",
+        "nano",
+        "-o",
+        "x.mcap",
+        code=5,
+        parts=parts,
+    )
 
 
 def test_import_of_a_short_flight_is_too_little(refused: Refused, tmp_path: Path) -> None:
     hover_csv(tmp_path / "short.csv", seconds=1.5)
     (tmp_path / "map.toml").write_text(MAP)
     parts = ["short.csv: airborne for 1.5 s, but 2 s are needed"]
-    refused("import", "csv", "short.csv", "--columns", "map.toml", "-o", "x.mcap", code=2, parts=parts)
+    refused(
+        "import",
+        "csv",
+        "short.csv",
+        "--columns",
+        "map.toml",
+        "--vehicle",
+        "nano",
+        "-o",
+        "x.mcap",
+        code=2,
+        parts=parts,
+    )
 
 
 def test_bench_without_courses_is_refused(refused: Refused) -> None:

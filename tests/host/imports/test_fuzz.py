@@ -12,8 +12,9 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from trimtab.host.imports import ImportFormatError, crazyflie_usd, nanobench, profiles
+from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
+from trimtab.host.imports.formats import FormatName, crazyflie_usd, nanobench
 from trimtab.host.imports.plausible import check
 from trimtab.host.vehicle import ConfigurationError
 
@@ -36,10 +37,10 @@ def _numpy_is_quiet() -> Iterator[None]:
         yield
 
 
-def refused_or_read(profile: str, path: Path, columns: Path | None = None) -> None:
+def refused_or_read(format: FormatName, path: Path, columns: Path | None = None) -> None:
     """Reads the file and looks at it as an import does."""
     try:
-        found = profiles.read(profile, path, columns)
+        found = formats.read(format, path, columns)
         check(found, airborne(found))
     except ImportFormatError as error:
         assert str(error)  # noqa: PT017 (either outcome is good)
@@ -130,13 +131,13 @@ def test_any_column_map_is_refused_as_configuration(tmp_path: Path, text: str) -
     columns.write_bytes(text.encode("utf-8", "surrogatepass"))
     path.write_text("t\n1\n2\n")
     with pytest.raises(ConfigurationError):
-        profiles.read("csv", path, columns)
+        formats.read("csv", path, columns)
 
 
-@pytest.mark.parametrize(("profile", "columns"), [("csv", None), ("nanobench", Path("m")), ("other", None)])
-def test_profile_that_does_not_fit_its_arguments_is_the_callers_mistake(
-    profile: str, columns: Path | None
+@pytest.mark.parametrize(("format", "columns"), [("csv", None), ("nanobench", Path("m"))])
+def test_map_that_does_not_fit_the_format_is_the_callers_mistake(
+    format: FormatName, columns: Path | None
 ) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011
-        profiles.read(profile, Path("log"), columns)
+        formats.read(format, Path("log"), columns)
     assert not isinstance(caught.value, ImportFormatError)

@@ -10,6 +10,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats.nanobench import STANDARD_GRAVITY
+from trimtab.host.imports.formats.table import header, table, table_contents
 from trimtab.host.imports.frames import (
     Body,
     World,
@@ -19,7 +22,6 @@ from trimtab.host.imports.frames import (
     turn_from_euler,
     turn_from_quaternion,
 )
-from trimtab.host.imports.nanobench import STANDARD_GRAVITY
 from trimtab.host.imports.recording import (
     ImportFormatError,
     Recording,
@@ -28,7 +30,6 @@ from trimtab.host.imports.recording import (
     fresh,
     since_first_us,
 )
-from trimtab.host.imports.table import table
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.host.vehicle.files import read_text
 from trimtab.host.vehicle.strict_toml import Strict, parse_toml, validate
@@ -118,6 +119,16 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):
             problems.append(f"{key}: names a column twice; give a different column for each entry")
     return problems
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the first line names at least two columns."""
+    return bool(header(head))
+
+
+def contents(path: Path) -> Contents:
+    """Return the columns of the file, of unknown rate without a column map. Raises ImportFormatError."""
+    return table_contents(path)
 
 
 def read(path: Path | str, columns: Path | str) -> Recording:

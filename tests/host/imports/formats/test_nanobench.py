@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.nanobench import COLUMNS, CORNERS, UNKNOWN, read
+from trimtab.host.imports.formats.nanobench import COLUMNS, CORNERS, UNKNOWN, read
 
 
 def test_nanobench_flight_is_told_in_ned_and_frd(nanobench_file: Callable[..., Path], made_up: Any) -> None:

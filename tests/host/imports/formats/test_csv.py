@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.columns import read, read_map
+from trimtab.host.imports.formats.csv import read, read_map
 from trimtab.host.vehicle import ConfigurationError
 
 LEAST = """

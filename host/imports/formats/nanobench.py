@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats.table import header, table, table_contents
 from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_quaternion
 from trimtab.host.imports.recording import (
     Corner,
@@ -20,7 +22,6 @@ from trimtab.host.imports.recording import (
     fresh,
     since_first_us,
 )
-from trimtab.host.imports.table import table
 
 UNKNOWN: tuple[Unknown, ...] = (
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
@@ -37,6 +38,16 @@ _GYRO = ("imu_gyro_x", "imu_gyro_y", "imu_gyro_z")
 _ACCELEROMETER = ("imu_acc_x", "imu_acc_y", "imu_acc_z")
 _BATTERY = "pwr_pm_vbat"
 COLUMNS = ("t", *_POSITION, *_QUATERNION, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BATTERY)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the first line names all columns of NanoBench."""
+    return set(COLUMNS) <= set(header(head))
+
+
+def contents(path: Path) -> Contents:
+    """Return the columns of the file, with their rate. Raises ImportFormatError."""
+    return table_contents(path, COLUMNS[0])
 
 
 def read(path: Path | str) -> Recording:

@@ -10,6 +10,7 @@ from typing import Annotated
 
 import numpy as np
 
+from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError
 
 
@@ -32,6 +33,30 @@ def table(path: Path, needed: Sequence[str]) -> dict[str, Annotated[np.ndarray, 
         raise ImportFormatError(
             f"{path}: cannot be read ({error.strerror or error}); check the path"
         ) from None
+
+
+def header(head: bytes) -> tuple[str, ...]:
+    """Return the column names in the first line, given a file's first bytes; empty if it is not CSV."""
+    line, end, _ = head.partition(b"\n")
+    try:
+        names = next(csv.reader([line.decode("utf-8-sig").strip("\r")]), []) if end else []
+    except (UnicodeDecodeError, csv.Error):
+        return ()
+    return tuple(name.strip() for name in names) if len(names) > 1 else ()
+
+
+def table_contents(path: Path, time: str | None = None, unit_s: float = 1.0) -> Contents:
+    """Return each column as a topic. Rates are known if a column of times is named, with its unit in seconds.
+
+    Raises ImportFormatError as `table` does.
+    """
+    names = header(path.read_bytes())
+    rows = table(path, [time] if time is not None else names[:1])
+    times = next(iter(rows.values()))
+    duration_s = float(times[-1] - times[0]) * unit_s if time is not None else 0.0
+    return Contents(
+        topics=tuple(topic(name, len(times), duration_s) for name in names), duration_s=duration_s
+    )
 
 
 def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.ndarray]:

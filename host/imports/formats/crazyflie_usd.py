@@ -20,6 +20,7 @@ from typing import Annotated
 
 import numpy as np
 
+from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
 from trimtab.host.imports.recording import (
     READABLE,
@@ -56,6 +57,26 @@ class Event:
     times: Annotated[np.ndarray, "records"]
     unit_us: float
     columns: Mapping[str, Annotated[np.ndarray, "records"]]
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the file begins with the mark of a uSD log."""
+    return head[:1] == bytes([MARK])
+
+
+def contents(path: Path) -> Contents:
+    """Return the variables of the log with the rates of their event types. Raises ImportFormatError."""
+    events = decode(path.read_bytes(), path.name)
+    spans = [
+        (float(event.times[-1] - event.times[0]) * event.unit_us * 1e-6 if len(event.times) else 0.0, event)
+        for event in events
+    ]
+    return Contents(
+        topics=tuple(
+            topic(variable, len(event.times), span_s) for span_s, event in spans for variable in event.columns
+        ),
+        duration_s=max(span_s for span_s, _ in spans),
+    )
 
 
 def read(path: Path | str) -> Recording:

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.table import table
+from trimtab.host.imports.formats.table import table
 
 
 def read(tmp_path: Path, text: str | bytes, *needed: str) -> dict[str, list[float]]:

@@ -13,7 +13,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
+from trimtab.host.imports.formats.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
 
 SMALL = (("a", "h"), ("b", "f"))
 
