@@ -17,8 +17,12 @@ _STEP_S = 0.1
 _CORRELATION_MIN = 0.3
 """Least correlation of two measurements of the same quantity."""
 
-_RATIO_MAX = 3.0
-"""Greatest ratio of the standard deviations of two measurements of the same quantity."""
+_SLOPE_MAX = 3.0
+"""Greatest slope between two measurements of the same quantity.
+
+Noise of one of them makes its standard deviation larger. The slope lies between the two regressions of the one
+on the other, whichever is noisy.
+"""
 
 _MOVING = {"rate": 0.15, "acceleration": 0.4}
 """Standard deviation, rad/s and m/s^2, from which two measurements can be compared."""
@@ -109,7 +113,10 @@ def _differ(a: np.ndarray, b: np.ndarray, moving: float) -> str:
     spread = float(np.std(a)), float(np.std(b))
     if len(a) < 10 or max(spread) < moving:
         return ""
-    if not max(spread) < _RATIO_MAX * min(spread):
+    if not 0.0 < min(spread) <= max(spread) < np.inf:
         return f"{spread[1]:.3g} against {spread[0]:.3g}"
     correlation = float(np.mean((a - a.mean()) * (b - b.mean())) / (spread[0] * spread[1]))
-    return "" if correlation > _CORRELATION_MIN else f"correlation {correlation:.2f}"
+    if not correlation > _CORRELATION_MIN:
+        return f"correlation {correlation:.2f}"
+    slope = correlation * max(spread) / min(spread)
+    return "" if slope < _SLOPE_MAX else f"{spread[1]:.3g} against {spread[0]:.3g}"

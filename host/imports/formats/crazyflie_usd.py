@@ -1,27 +1,26 @@
-"""Reader of Crazyflie uSD binary logs of the Lee controller: on-board estimate, commanded thrust and torque.
+"""Reader of Crazyflie uSD binary logs with any variables that hold a pose.
 
-Layout: byte 0xBC; u16 version; u16 number of event types; per type u16 id, name, u16 number of variables,
-each "name(format)" with a letter of Python's struct; then records of u16 id, time (u32 ms in version 1, u64
-us in version 2) and the packed variables; the last four bytes are the CRC-32 of all before them. Strings end
-with NUL, numbers are little-endian.
-
-The world is z-up (nwu here), the body FLU, and positions are in mm. Positions and angles come from the
-on-board filter, which is slower than the log, so rows that repeat a pose are dropped.
+Every quantity has several sources: the log variables of controllers and estimators. The first that the log
+holds is read. The world is z-up (nwu here), the body FLU. Poses come from the on-board filter, which may be
+slower than the log, so rows that repeat a pose are dropped.
 """
 
 from __future__ import annotations
 
-import struct
-import zlib
-from collections.abc import Mapping
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
+from trimtab.host.imports.attitude import pitch_from_positions
 from trimtab.host.imports.contents import Contents, topic
-from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler
+from trimtab.host.imports.formats.nanobench import CORNERS, PWM_MAX, STANDARD_GRAVITY
+from trimtab.host.imports.formats.nanobench import UNKNOWN as UNKNOWN_OF_MOTORS
+from trimtab.host.imports.formats.usd_events import MARK, Event, decode
+from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_euler, turn_from_quaternion
 from trimtab.host.imports.recording import (
     READABLE,
     ImportFormatError,
@@ -35,28 +34,72 @@ from trimtab.host.imports.recording import (
 UNKNOWN: tuple[Unknown, ...] = (
     "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
 )  # fmt: skip
-MARK = 0xBC
-FORMATS = frozenset("bBhHiIqQefd")
-_SHORTEST = 9
+"""What a log of commanded thrust does not determine. One of motor commands is like NanoBench's."""
 
-_POSITION = ("stateEstimateZ.x", "stateEstimateZ.y", "stateEstimateZ.z")
-_ANGLES = ("ctrlLee.rpyx", "ctrlLee.rpyy", "ctrlLee.rpyz")
-_RATE = ("ctrlLee.omegax", "ctrlLee.omegay", "ctrlLee.omegaz")
-_THRUST = ("ctrlLee.thrustSI",)
-_TORQUE = ("ctrlLee.torquex", "ctrlLee.torquey", "ctrlLee.torquez")
-_TARGET = ("ctrltargetZ.x", "ctrltargetZ.y", "ctrltargetZ.z")
-_TARGET_RATE = ("ctrltargetZ.vx", "ctrltargetZ.vy", "ctrltargetZ.vz")
-VARIABLES = (*_POSITION, *_ANGLES, *_RATE, *_THRUST, *_TORQUE, *_TARGET, *_TARGET_RATE)
+DEG = np.pi / 180.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Source:
+    """Log variables of one quantity, and the factors from their units to SI."""
+
+    variables: tuple[str, ...]
+    factors: tuple[float, ...]
+
+
+def _vector(prefix: str, axes: str = "xyz", factor: float = 1.0) -> Source:
+    """Return the source of a vector whose variables have one prefix and one unit."""
+    return Source(variables=tuple(f"{prefix}{axis}" for axis in axes), factors=(factor,) * len(axes))
+
+
+POSITION = (
+    _vector("stateEstimateZ.", factor=1e-3),
+    _vector("stateEstimate."),
+    _vector("kalman.state", "XYZ"),
+    _vector("locSrv."),
+)
+QUATERNION = (
+    Source(variables=tuple(f"stateEstimate.q{axis}" for axis in "wxyz"), factors=(1.0,) * 4),
+    Source(variables=tuple(f"kalman.q{axis}" for axis in "0123"), factors=(1.0,) * 4),
+)
+"""Body to world, w first."""
+
+EULER = (
+    _vector("ctrlLee.rpy"),
+    # The firmware's pitch has the other sign.
+    Source(
+        variables=("stateEstimate.roll", "stateEstimate.pitch", "stateEstimate.yaw"), factors=(DEG, -DEG, DEG)
+    ),
+)
+ROLL_AND_YAW = (Source(variables=("stateEstimate.roll", "stateEstimate.yaw"), factors=(DEG, DEG)),)
+RATE = (_vector("ctrlLee.omega"), _vector("gyro.", factor=DEG))
+FORCE = (_vector("acc.", factor=STANDARD_GRAVITY),)
+THRUST = (Source(variables=("ctrlLee.thrustSI",), factors=(1.0,)),)
+TORQUE = (_vector("ctrlLee.torque"),)
+MOTORS = (
+    Source(variables=tuple(f"motor.m{k}" for k in (1, 2, 3, 4)), factors=(1.0 / PWM_MAX,) * 4),
+    Source(variables=tuple(f"pwm.m{k}_pwm" for k in (1, 2, 3, 4)), factors=(1.0 / PWM_MAX,) * 4),
+)
+"""Clockwise from the front right."""
+
+VOLTAGE = (
+    Source(variables=("pm.vbatMV",), factors=(1e-3,)),
+    Source(variables=("pm.vbat",), factors=(1.0,)),
+)
+TARGET = (_vector("ctrltargetZ.", factor=1e-3), _vector("ctrltarget."))
+TARGET_RATE = (_vector("ctrltargetZ.v", factor=1e-3), _vector("ctrltarget.v"))
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
-class Event:
-    """Records of one event type: times in units of `unit_us`, and variables by name."""
+class Track:
+    """Values of one quantity in SI at increasing times, us since the log's first record."""
 
-    name: str
-    times: Annotated[np.ndarray, "records"]
-    unit_us: float
-    columns: Mapping[str, Annotated[np.ndarray, "records"]]
+    t_us: Annotated[np.ndarray, "rows"]
+    values: Annotated[np.ndarray, "rows columns"]
+
+    def at(self, t_us: Annotated[np.ndarray, "times"]) -> Annotated[np.ndarray, "times columns"]:
+        """Return the last values at or before each time; the first values before them all."""
+        return self.values[np.maximum(np.searchsorted(self.t_us, t_us, side="right") - 1, 0)]
 
 
 def recognises(path: Path, head: bytes) -> bool:
@@ -66,7 +109,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path) -> Contents:
     """Return the variables of the log with the rates of their event types. Raises ImportFormatError."""
-    events = decode(path.read_bytes(), path.name)
+    events = decode(bytes_of(path), path.name)
     spans = [
         (float(event.times[-1] - event.times[0]) * event.unit_us * 1e-6 if len(event.times) else 0.0, event)
         for event in events
@@ -82,141 +125,127 @@ def contents(path: Path) -> Contents:
 def read(path: Path | str) -> Recording:
     """Return the flight of a uSD log. Raises ImportFormatError with the file, the problem and the remedy."""
     path = Path(path)
-    try:
-        data = path.read_bytes()
-    except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-    event = _with_all(decode(data, path.name), path.name)
-    t_us = since_first_us(event.times, event.unit_us, path.name)
-    keep = first_of_equal(t_us)
-    t_us = t_us[keep]
-    named = {name.lower(): values for name, values in event.columns.items()}
-
-    def stack(names: tuple[str, ...], scale: float = 1.0) -> np.ndarray:
-        values = np.column_stack([named[name.lower()][keep] for name in names])
-        if not (np.abs(values) < READABLE).all():
-            raise ImportFormatError(
-                f"{path.name}: {', '.join(names)} contain values that are not numbers; fly again"
-            )
-        return scale * values
-
-    position, angles = stack(_POSITION, 1e-3), stack(_ANGLES)
-    new = fresh(position, angles)
+    log = _Log(decode(bytes_of(path), path.name), path.name)
+    position = log.needed(POSITION)
+    attitude, turn = _attitude(log, position)
+    new = fresh(position.values, attitude)
     if new.sum() < 2:
         raise ImportFormatError(f"{path.name}: the pose never changes; is a position estimate running?")
+    thrust = log.track(THRUST)
+    motors = log.track(MOTORS) if thrust is None else None
+    torque = log.track(TORQUE) if thrust is not None else None
+    rate, force, voltage = log.track(RATE), log.track(FORCE), log.track(VOLTAGE)
+    target, target_rate = log.track(TARGET), log.track(TARGET_RATE)
+    inputs, imu = thrust or motors, rate or force
+
+    def beside(track: Track | None, first: Track | None) -> np.ndarray | None:
+        return None if track is None or first is None else track.at(first.t_us)
+
+    def in_world(track: Track | None) -> np.ndarray | None:
+        return None if track is None or target is None else to_ned(track.at(target.t_us), "nwu")
+
+    def in_body(track: Track | None, first: Track | None) -> np.ndarray | None:
+        return None if track is None or first is None else to_frd(track.at(first.t_us), "flu")
+
     return Recording(
         source=path.name,
-        pose_us=t_us[new],
-        p_ned=to_ned(position, "nwu")[new],
-        q_ned_frd=q_ned_frd(turn_from_euler(angles), "nwu", "flu")[new],
-        input_us=t_us,
-        thrust_n=stack(_THRUST)[:, 0],
-        torque_n_m=to_frd(stack(_TORQUE), "flu"),
-        imu_us=t_us,
-        gyro=to_frd(stack(_RATE), "flu"),
-        reference_us=t_us,
-        p_ref_ned=to_ned(stack(_TARGET, 1e-3), "nwu"),
-        v_ref_ned=to_ned(stack(_TARGET_RATE, 1e-3), "nwu"),
+        pose_us=position.t_us[new],
+        p_ned=to_ned(position.values, "nwu")[new],
+        q_ned_frd=q_ned_frd(turn, "nwu", "flu")[new],
+        input_us=None if inputs is None else inputs.t_us,
+        motor_command=beside(motors, inputs),
+        motor_corners=None if motors is None else CORNERS,
+        thrust_n=None if thrust is None else thrust.values[:, 0],
+        torque_n_m=in_body(torque, inputs),
+        imu_us=None if imu is None else imu.t_us,
+        gyro=in_body(rate, imu),
+        specific_force=in_body(force, imu),
+        battery_us=None if voltage is None else voltage.t_us,
+        battery_v=None if voltage is None else voltage.values[:, 0],
+        reference_us=None if target is None else target.t_us,
+        p_ref_ned=in_world(target),
+        v_ref_ned=in_world(target_rate),
         mass_kg=_declared_mass(path),
-        unknown=UNKNOWN,
+        unknown=UNKNOWN if motors is None else UNKNOWN_OF_MOTORS,
     )
 
 
-def _with_all(events: tuple[Event, ...], name: str) -> Event:
-    """Return the event type with every required variable, ignoring case, which differs between firmwares."""
-
-    def missing_in(event: Event) -> list[str]:
-        present = {column.lower() for column in event.columns}
-        return [variable for variable in VARIABLES if variable.lower() not in present]
-
-    best = min(events, key=lambda event: len(missing_in(event)))
-    missing = missing_in(best)
-    if missing:
-        raise ImportFormatError(
-            f"{name}: no variable {', '.join(missing)}; log it on the vehicle and fly again"
-        )
-    if len(best.times) < 2:
-        raise ImportFormatError(f"{name}: fewer than two records; nothing to import")
-    return best
-
-
-def decode(data: bytes, name: str) -> tuple[Event, ...]:
-    """Return the records of a uSD log by event type, one or more.
-
-    Raises ImportFormatError if the data is not a complete log: wrong mark, truncated, wrong checksum.
-    """
-    if data[:1] != bytes([MARK]):
-        raise ImportFormatError(f"{name}: does not begin with 0xBC; not a Crazyflie uSD log")
-    if len(data) < _SHORTEST or zlib.crc32(data[:-4]) != struct.unpack("<I", data[-4:])[0]:
-        raise ImportFormatError(
-            f"{name}: the checksum is wrong, the file is truncated or damaged; copy it from the card again"
-        )
+def bytes_of(path: Path) -> bytes:
+    """Return the bytes of a file. Raises ImportFormatError if it cannot be read."""
     try:
-        return _decode(data[:-4], name)
-    except (struct.error, IndexError, UnicodeDecodeError) as error:
-        raise ImportFormatError(
-            f"{name}: header or records do not fit ({error}); not a log of this format"
-        ) from None
+        return path.read_bytes()
+    except OSError as error:
+        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
 
 
-def _decode(data: bytes, name: str) -> tuple[Event, ...]:
-    version, count = struct.unpack_from("<HH", data, 1)
-    if version not in (1, 2):
-        raise ImportFormatError(f"{name}: format version {version} is not supported, only versions 1 and 2")
-    stamp, unit_us = ("I", 1000.0) if version == 1 else ("Q", 1.0)
-    offset = 5
-    types: dict[int, tuple[str, list[str], struct.Struct]] = {}
-    for _ in range(count):
-        (kind,) = struct.unpack_from("<H", data, offset)
-        title, offset = _string(data, offset + 2)
-        (variables,) = struct.unpack_from("<H", data, offset)
-        offset += 2
-        names, layout = [], f"<{stamp}"
-        for _ in range(variables):
-            text, offset = _string(data, offset)
-            variable, letter = text[:-3], text[-2:-1]
-            if text[-3:] != f"({letter})" or letter not in FORMATS:
-                raise ImportFormatError(
-                    f"{name}: variable {text!r} has no format letter of {' '.join(sorted(FORMATS))}; "
-                    "not a log of this format"
-                )
-            names.append(variable)
-            layout += letter
-        if kind in types:
-            raise ImportFormatError(f"{name}: event type {kind} is declared twice; not a log of this format")
-        types[kind] = (title, names, struct.Struct(layout))
-    if not types:
-        raise ImportFormatError(f"{name}: no event type; nothing was logged")
-    rows: dict[int, list[tuple]] = {kind: [] for kind in types}
-    while offset < len(data):
-        (kind,) = struct.unpack_from("<H", data, offset)
-        if kind not in types:
+def _attitude(log: _Log, position: Track) -> tuple[np.ndarray, Rotation]:
+    """Return the attitude at each position, as in the log and as rotations from FLU to NWU.
+
+    A log with roll and yaw alone gets its pitch from the positions.
+    """
+    t_us = position.t_us
+    euler, quaternion = log.track(EULER), log.track(QUATERNION)
+    if euler is not None:
+        angles = euler.at(t_us)
+        return angles, turn_from_euler(angles)
+    if quaternion is not None:
+        q = quaternion.at(t_us)
+        try:
+            return q, turn_from_quaternion(q, scalar_first=True)
+        except ValueError as error:
+            raise ImportFormatError(f"{log.name}: {error}; remove or correct that row") from None
+    partly = log.track(ROLL_AND_YAW)
+    if partly is None:
+        raise log.missing(EULER)
+    roll, yaw = partly.at(t_us).T
+    angles = np.column_stack([roll, pitch_from_positions(t_us * 1e-6, position.values, yaw), yaw])
+    return angles, turn_from_euler(angles)
+
+
+class _Log:
+    """Events of one log on one clock."""
+
+    def __init__(self, events: Sequence[Event], name: str) -> None:
+        self.name = name
+        self._events = [event for event in events if len(event.times) > 1]
+        if not self._events:
+            raise ImportFormatError(f"{name}: fewer than two records; nothing to import")
+        self._start = min(float(event.times[0]) for event in self._events)
+
+    def track(self, sources: Sequence[Source]) -> Track | None:
+        """Return the quantity from the first source that an event type holds whole; None without any.
+
+        Case does not count, since firmwares differ in it.
+        """
+        for source in sources:
+            for event in self._events:
+                named = {variable.lower(): column for variable, column in event.columns.items()}
+                if all(variable.lower() in named for variable in source.variables):
+                    values = np.column_stack([named[variable.lower()] for variable in source.variables])
+                    return self._track(event, values, source)
+        return None
+
+    def needed(self, sources: Sequence[Source]) -> Track:
+        """Return the quantity. Raises ImportFormatError if no event type holds it."""
+        found = self.track(sources)
+        if found is None:
+            raise self.missing(sources)
+        return found
+
+    def missing(self, sources: Sequence[Source]) -> ImportFormatError:
+        """Return the error that names the variables of every source."""
+        wanted = ", or ".join(" ".join(source.variables) for source in sources)
+        return ImportFormatError(f"{self.name}: no {wanted}; log them on the vehicle and fly again")
+
+    def _track(self, event: Event, values: np.ndarray, source: Source) -> Track:
+        if not (np.abs(values) < READABLE).all():
             raise ImportFormatError(
-                f"{name}: record of unknown type {kind} at byte {offset}; not a log of this format"
+                f"{self.name}: {', '.join(source.variables)} contain values that are not numbers; fly again"
             )
-        packer = types[kind][2]
-        rows[kind].append(packer.unpack_from(data, offset + 2))
-        offset += 2 + packer.size
-    return tuple(
-        Event(
-            name=title,
-            times=np.array([row[0] for row in rows[kind]], dtype=float),
-            unit_us=unit_us,
-            columns={
-                column: np.array([row[1 + i] for row in rows[kind]], dtype=float)
-                for i, column in enumerate(names)
-            },
-        )
-        for kind, (title, names, _) in types.items()
-    )
-
-
-def _string(data: bytes, offset: int) -> tuple[str, int]:
-    """Return the NUL-terminated text at `offset` and the offset after it."""
-    end = data.find(b"\0", offset)
-    if end < 0:
-        raise IndexError("a text without an end")
-    return data[offset:end].decode("ascii"), end + 1
+        t_us = since_first_us(event.times, event.unit_us, self.name)
+        t_us = t_us + round((float(event.times[0]) - self._start) * event.unit_us)
+        keep = first_of_equal(t_us)
+        return Track(t_us=t_us[keep], values=values[keep] * np.array(source.factors))
 
 
 def _declared_mass(path: Path) -> float | None:
