@@ -20,8 +20,7 @@ _CORRELATION_MIN = 0.3
 _SLOPE_MAX = 3.0
 """Greatest slope between two measurements of the same quantity.
 
-Noise of one of them makes its standard deviation larger. The slope lies between the two regressions of the one
-on the other, whichever is noisy.
+Noise makes the standard deviation of one larger, so the regression that allows for it is taken.
 """
 
 _MOVING = {"rate": 0.15, "acceleration": 0.4}
