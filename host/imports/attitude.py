@@ -29,7 +29,7 @@ def pitch_from_positions(
     window = min(max(5, 2 * round(0.5 * WINDOW_S / step_s) + 1), (len(grid_s) - 1) // 2 * 2 + 1)
     if window < 3:
         return np.zeros(len(t_s))
-    a = savgol_filter(even, window, 2, deriv=2, delta=step_s, axis=0)
+    a = np.asarray(savgol_filter(even, window, 2, deriv=2, delta=step_s, axis=0))
     a_t = np.column_stack([np.interp(t_s, grid_s, a[:, i]) for i in range(3)])
     ahead = a_t[:, 0] * np.cos(yaw) + a_t[:, 1] * np.sin(yaw)
     return np.arctan2(ahead, np.maximum(GRAVITY + a_t[:, 2], 0.1 * GRAVITY))

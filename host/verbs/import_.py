@@ -80,6 +80,8 @@ def _format_and_file(words: tuple[str, ...]) -> tuple[FormatName, Path]:
 def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     """Print what the file holds, and return it."""
     from trimtab.host.base.output import say
+    from trimtab.host.imports import plausible
+    from trimtab.host.imports.airborne import airborne
     from trimtab.host.imports.formats import module, read
     from trimtab.host.imports.recording import ImportFormatError
 
@@ -95,12 +97,13 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     else:
         try:
             recording = read(name, path, columns)
+            plausible.check(recording, airborne(recording))
         except ImportFormatError as error:
             problem = str(error)
     if problem is not None:
         say(f"cannot be imported: {problem}")
     answer = {"topics": _topics(held), "log": None, "problem": problem, **_shown(recording)}
-    if recording is not None:
+    if problem is None:
         say("import it with --vehicle VEHICLE -o LOG.mcap")
     return answer
 

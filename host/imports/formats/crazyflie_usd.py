@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -30,6 +29,7 @@ from trimtab.host.imports.recording import (
     fresh,
     since_first_us,
 )
+from trimtab.host.imports.tracks import Track
 
 UNKNOWN: tuple[Unknown, ...] = (
     "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
@@ -88,18 +88,6 @@ VOLTAGE = (
 )
 TARGET = (_vector("ctrltargetZ.", factor=1e-3), _vector("ctrltarget."))
 TARGET_RATE = (_vector("ctrltargetZ.v", factor=1e-3), _vector("ctrltarget.v"))
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Track:
-    """Values of one quantity in SI at increasing times, us since the log's first record."""
-
-    t_us: Annotated[np.ndarray, "rows"]
-    values: Annotated[np.ndarray, "rows columns"]
-
-    def at(self, t_us: Annotated[np.ndarray, "times"]) -> Annotated[np.ndarray, "times columns"]:
-        """Return the last values at or before each time; the first values before them all."""
-        return self.values[np.maximum(np.searchsorted(self.t_us, t_us, side="right") - 1, 0)]
 
 
 def recognises(path: Path, head: bytes) -> bool:
