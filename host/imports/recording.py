@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -170,6 +171,14 @@ _TRACKS = {
     "battery_us": ("battery_v",),
     "reference_us": ("p_ref_ned", "v_ref_ned", "a_ref_ned"),
 }
+
+
+def check_readable(path: Path) -> None:
+    """Raise ImportFormatError if the file cannot be opened."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
 
 
 def since_first_us(

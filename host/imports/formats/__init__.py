@@ -14,7 +14,7 @@ from typing import Literal, Protocol, cast, get_args
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.recording import ImportFormatError, Recording
 
-FormatName = Literal["ulog", "rosbag", "crazyflie-usd", "nanobench", "csv"]
+FormatName = Literal["ulog", "dataflash", "rosbag", "betaflight", "crazyflie-usd", "nanobench", "csv"]
 FORMATS: tuple[FormatName, ...] = get_args(FormatName)
 """Names in the order in which they are tried on a file; csv takes any table, so it is last."""
 

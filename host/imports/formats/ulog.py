@@ -7,25 +7,24 @@ the mixer if they were logged, else pulse widths.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trimtab.host.imports.contents import Contents, Topic, topic
+from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.extras import optional
 from trimtab.host.imports.frames import turn_from_quaternion
 from trimtab.host.imports.recording import (
-    READABLE,
     Corner,
     ImportFormatError,
     Recording,
     Unknown,
-    first_of_equal,
+    check_readable,
     fresh,
 )
+from trimtab.host.imports.topics import Source, Topic, TopicLog
 from trimtab.host.imports.tracks import Track, turns_at
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -37,14 +36,6 @@ CORNERS: tuple[Corner, Corner, Corner, Corner] = ("front-right", "rear-left", "f
 
 PWM_MIN_US, PWM_MAX_US = 1000.0, 2000.0
 """Pulse widths of no and full command unless parameters PWM_MIN and PWM_MAX give others."""
-
-
-@dataclass(frozen=True, kw_only=True)
-class Source:
-    """Fields of one topic that hold a quantity in SI."""
-
-    topic: str
-    fields: tuple[str, ...]
 
 
 def _source(name: str, field: str, count: int) -> Source:
@@ -83,15 +74,13 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path) -> Contents:
     """Return the topics of the file with their rates. Raises ImportFormatError."""
-    log = _Log(path)
-    notes = ("the file is damaged; what could be read is used",) if log.damaged else ()
-    return Contents(topics=log.topics(), duration_s=log.duration_s, notes=notes)
+    return _log(path).contents()
 
 
 def read(path: Path | str) -> Recording:
     """Return the flight of a ULog. Raises ImportFormatError with the file, the problem and the remedy."""
     path = Path(path)
-    log = _Log(path)
+    log = _log(path)
     source = next((source for source in POSITION if log.has(source)), None)
     if source is None:
         raise log.missing(POSITION)
@@ -123,7 +112,7 @@ def read(path: Path | str) -> Recording:
     )
 
 
-def _motors(log: _Log) -> Track | None:
+def _motors(log: TopicLog) -> Track | None:
     """Return the motor commands in 0..1; None without any."""
     if log.has(MOTORS):
         commands = log.needed(MOTORS)
@@ -157,67 +146,30 @@ def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, C
     return corners[0], corners[1], corners[2], corners[3]
 
 
-class _Log:
-    """The topics of one file, first instance of each, at times since the first record of all."""
-
-    def __init__(self, path: Path) -> None:
-        ulog = optional("pyulog", "logs")
-        self.name = path.name
-        try:
-            path.open("rb").close()
-        except OSError as error:
-            raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
-        try:
-            file: Any = ulog.ULog(str(path), disable_str_exceptions=True)
-        except Exception as error:
-            # pyulog reports damage by whatever exception its parser ran into.
-            raise ImportFormatError(
-                f"{path.name}: not a whole ULog ({type(error).__name__}); copy it from the vehicle again"
-            ) from None
-        self.damaged = bool(file.file_corruption)
-        self.parameters: Mapping[str, float] = dict(file.initial_parameters)
-        self._data: dict[str, Mapping[str, np.ndarray]] = {}
-        for data in file.data_list:
-            if len(data.data["timestamp"]):
-                self._data.setdefault(data.name, data.data)
-        if not self._data:
-            raise ImportFormatError(f"{path.name}: no data; was the log stopped before take-off?")
-        self._start_us = int(file.start_timestamp)
-        self.duration_s = (int(file.last_timestamp) - self._start_us) * 1e-6
-
-    def topics(self) -> tuple[Topic, ...]:
-        """Return the topics in the order of their names."""
-        spans = {name: np.ptp(data["timestamp"].astype(np.int64)) * 1e-6 for name, data in self._data.items()}
-        return tuple(
-            topic(name, len(self._data[name]["timestamp"]), float(spans[name])) for name in sorted(spans)
-        )
-
-    def has(self, source: Source) -> bool:
-        """Return whether the file holds all fields of a source."""
-        return all(field in self._data.get(source.topic, {}) for field in source.fields)
-
-    def first(self, sources: Sequence[Source]) -> Track | None:
-        """Return the quantity from the first source that the file holds; None without any."""
-        return next((self.needed(source) for source in sources if self.has(source)), None)
-
-    def needed(self, source: Source) -> Track:
-        """Return the quantity. Raises ImportFormatError if it is missing or has no finite values."""
-        if not self.has(source):
-            raise self.missing([source])
-        data = self._data[source.topic]
-        values = np.column_stack([data[field] for field in source.fields]).astype(float)
-        t_us = data["timestamp"].astype(np.int64) - self._start_us
-        sound = (np.abs(values) < READABLE).all(axis=1)
-        order = np.argsort(t_us[sound], kind="stable")
-        t_us, values = t_us[sound][order], values[sound][order]
-        if len(t_us) < 2:
-            raise ImportFormatError(
-                f"{self.name}: {source.topic} has fewer than two finite values; log it again"
+def _log(path: Path) -> TopicLog:
+    """Return the topics of the file, the first instance of each."""
+    pyulog = optional("pyulog", "logs")
+    check_readable(path)
+    try:
+        file: Any = pyulog.ULog(str(path), disable_str_exceptions=True)
+    except Exception as error:
+        # pyulog reports damage by whatever exception its parser ran into.
+        raise ImportFormatError(
+            f"{path.name}: not a whole ULog ({type(error).__name__}); copy it from the vehicle again"
+        ) from None
+    topics: dict[str, Topic] = {}
+    for data in file.data_list:
+        if len(data.data["timestamp"]):
+            topics.setdefault(
+                data.name, Topic(t_us=data.data["timestamp"].astype(np.int64), columns=data.data)
             )
-        keep = first_of_equal(t_us)
-        return Track(t_us=t_us[keep], values=values[keep])
-
-    def missing(self, sources: Sequence[Source]) -> ImportFormatError:
-        """Return the error that names the topics of every source."""
-        wanted = " or ".join(dict.fromkeys(source.topic for source in sources))
-        return ImportFormatError(f"{self.name}: no topic {wanted} with its values; log it and fly again")
+    if not topics:
+        raise ImportFormatError(f"{path.name}: no data; was the log stopped before take-off?")
+    return TopicLog(
+        name=path.name,
+        topics=topics,
+        start_us=int(file.start_timestamp),
+        duration_s=(int(file.last_timestamp) - int(file.start_timestamp)) * 1e-6,
+        parameters=dict(file.initial_parameters),
+        damaged=bool(file.file_corruption),
+    )
