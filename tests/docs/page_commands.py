@@ -1,11 +1,11 @@
 """The commands that a page of the docs prints, and how its HTML comments say to run them.
 
     <!-- not run: REASON -->     the commands of the next block are not run
-    <!-- run: COMMAND -->        a command that readers do not see, in its place; several, each on a line of its own
+    <!-- run: COMMAND -->        a command that readers do not see, in its place; several on a line each
     <!-- continues: PAGE -->     the page begins in the workspace that this page leaves
 
-A block is indented code, or fenced code without a language. Its commands begin with the name of a program. In a
-block with prompts (`$ `) these are the lines with a prompt; the others are output.
+A block is indented code, or fenced code without a language. Its commands begin with the name of a program. In
+a block with prompts (`$ `) these are the lines with a prompt; the others are output.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TOKEN = re.compile(
 
 @dataclass(frozen=True, kw_only=True)
 class Command:
-    """A command of a page. skipped: the reason why it is not run, or None. printed: whether readers see it."""
+    """A command of a page. skipped: why it is not run, or None. printed: whether readers see it."""
 
     text: str
     skipped: str | None = None
@@ -45,7 +45,10 @@ class Page:
 
 
 def page_of(text: str) -> Page:
-    """Return the commands of a page. Raises ValueError for a mark without a block, and a command amid text."""
+    """Return the commands of a page.
+
+    Raises ValueError for a mark without a block, and for a command amid other text.
+    """
     commands: list[Command] = []
     continues, reason = None, None
     for token in _TOKEN.finditer(text):

@@ -53,6 +53,7 @@ def run_command(command: str, folder: Path) -> None:
 
 
 @pytest.mark.full  # flights, traces and plans
+@pytest.mark.long
 @pytest.mark.parametrize("name", RUN)
 def test_commands_of_page_run_as_printed(name: str, workspace_after: Callable[[str], Path]) -> None:
     workspace_after(name)
