@@ -11,12 +11,14 @@ from cyclopts import Parameter
 
 from trimtab.host.verbs.options import (
     DEFAULT_VEHICLE,
+    AcceptUndecided,
     Force,
     Json,
     KeyFile,
     Output,
     VehicleName,
     WorkspaceFolder,
+    accepted_model,
     key_option,
 )
 
@@ -97,6 +99,7 @@ class FlyOptions:
     feedforward: Path | None = None
     controller: str | None = None
     model: Path | None = None
+    accept_undecided: AcceptUndecided = False
     then: Path | None = None
     at: float | None = None
     key: KeyFile = None
@@ -225,16 +228,18 @@ def _flown_by(options: FlyOptions, vehicle: Vehicle) -> FlownBy:
         return FlownBy()
     from trimtab.host.effects import load_effects
     from trimtab.host.link.controllers import flown_by
-    from trimtab.host.models.file import read_model
     from trimtab.host.workspace import open_workspace
 
     workspace = open_workspace(options.workspace)
+    model = None
+    if options.model is not None:
+        model = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle.id)
     return flown_by(
         options.controller,
         workspace.controller(options.controller),
         vehicle,
         feedforward=options.feedforward is not None,
-        model=None if options.model is None else read_model(options.model, vehicle_id=vehicle.id),
+        model=model,
         effects=load_effects(workspace.root),
     )
 

@@ -31,7 +31,7 @@ from trimtab.host.base import output
 from trimtab.host.base.errors import EXIT_CODES
 from trimtab.host.log import LogError, read_flight, recover
 from trimtab.host.models.file import write_model
-from trimtab.host.models.model import Model
+from trimtab.host.models.model import Assessment, Model
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
@@ -317,7 +317,12 @@ def test_reference_and_model_of_another_vehicle_are_refused(
 def test_model_with_a_parameter_its_effect_lacks_is_refused(
     refused: Refused, vehicle: Vehicle, tmp_path: Path
 ) -> None:
-    wrong = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, effects={"linear-drag": {"dq": 0.4}})
+    wrong = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects={"linear-drag": {"dq": 0.4}},
+        assessment=Assessment(verdict="traced"),
+    )
     write_model(wrong, tmp_path / "m.model.toml")
     parts = ["m.model.toml: linear-drag has no parameter dq; it has dx, dy, dz"]
     refused("plan", "figure-eight", "--model", "m.model.toml", code=2, parts=parts)

@@ -14,6 +14,7 @@ from typing import Any
 
 import pytest
 
+from tests.docs.page_commands import page_of
 from trimtab.host import cli
 from trimtab.host.base import output
 from trimtab.host.effects import load_effects
@@ -354,7 +355,10 @@ def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_ye
     for line in flown[0].to_lines()[1:]:
         assert shape.sub("0", line) in shown
     logs = []
-    for reference, words in re.findall(r"^ +(?:\$ )?trimtab fly (\S+)\.ref (.*)$", page, flags=re.MULTILINE):
-        named = re.search(r"-o (\S+)", words)
-        logs.append(named[1] if named else f"{reference}-0.mcap")
-    assert len(logs) == len(set(logs)) == 3
+    printed = [command.text for command in page_of(page).commands if command.printed]
+    for reference, words in re.findall(
+        r"^trimtab fly (\S+)\.ref (.*)$", "\n".join(printed), flags=re.MULTILINE
+    ):
+        flight = re.search(r"--flight (\d+)", words)
+        logs.append(f"{reference}-{flight[1] if flight else 0}.mcap")
+    assert len(logs) == len(set(logs)) == 4
