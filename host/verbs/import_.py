@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,7 +13,7 @@ from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 if TYPE_CHECKING:
     from trimtab.host.imports.contents import Contents
     from trimtab.host.imports.formats import FormatName
-    from trimtab.host.imports.recording import Recording
+    from trimtab.host.imports.recording import Cut, Recording
     from trimtab.host.vehicle import Vehicle
 
 
@@ -80,9 +80,9 @@ def _format_and_file(words: tuple[str, ...]) -> tuple[FormatName, Path]:
 def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     """Print what the file holds, and return it."""
     from trimtab.host.base.output import say
-    from trimtab.host.imports import plausible
     from trimtab.host.imports.airborne import airborne
     from trimtab.host.imports.formats import module, read
+    from trimtab.host.imports.plausible import consistent_span
     from trimtab.host.imports.recording import ImportFormatError
 
     held = module(name).contents(path)
@@ -97,7 +97,8 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     else:
         try:
             recording = read(name, path, columns)
-            plausible.check(recording, airborne(recording))
+            _, cut = consistent_span(recording, airborne(recording))
+            recording = replace(recording, cut=(*recording.cut, *cut))
         except ImportFormatError as error:
             problem = str(error)
     if problem is not None:
@@ -121,7 +122,7 @@ def _convert(
     airframe = open_workspace(workspace).vehicle(vehicle)
     recording = read(name, path, columns)
     provenance = {"version": artefacts.version(), "source_id": artefacts.content_id_of(path)}
-    topics = _write(recording, airframe, output, name, provenance)
+    topics, cut = _write(recording, airframe, output, name, provenance)
     flight = read_flight(output)
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
     say(
@@ -135,7 +136,7 @@ def _convert(
         "duration_s": flight.duration_s,
         "messages": topics,
         "mass_kg": flight.vehicle.mass_kg,
-        **_shown(recording, airframe),
+        **_shown(replace(recording, cut=cut), airframe),
     }
 
 
@@ -168,16 +169,16 @@ def _shown(recording: Recording | None, vehicle: Vehicle | None = None) -> dict[
 
 def _write(
     recording: Recording, vehicle: Vehicle, output: Path, name: FormatName, provenance: dict[str, str]
-) -> dict[str, int]:
-    """Write the complete log or nothing. Return the number of messages of each topic."""
+) -> tuple[dict[str, int], tuple[Cut, ...]]:
+    """Write the complete log or nothing. Return the number of messages of each topic, and what was cut."""
     from trimtab.host.imports.write import write
     from trimtab.host.log import partial_path
 
     growing = output.with_name(output.name + ".import")
     try:
-        topics = write(recording, vehicle, growing, format=name, provenance=provenance)
+        written = write(recording, vehicle, growing, format=name, provenance=provenance)
         growing.replace(output)
     finally:
         growing.unlink(missing_ok=True)
         partial_path(growing).unlink(missing_ok=True)
-    return topics
+    return written

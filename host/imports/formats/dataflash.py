@@ -5,9 +5,10 @@ The world is NED, the body FRD, angles are in degrees, times in us since boot. P
 
 from __future__ import annotations
 
-import contextlib
-import io
+import warnings
 from array import array
+from contextlib import closing, redirect_stderr, redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -119,9 +120,7 @@ def _log(path: Path) -> TopicLog:
     rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]] = {}
     parameters: dict[str, float] = {}
     try:
-        # DFReader prints what it cannot read.
-        with contextlib.redirect_stderr(io.StringIO()), contextlib.redirect_stdout(io.StringIO()):
-            _read(path, [*wanted, "PARM"], rows, parameters)
+        _read(path, [*wanted, "PARM"], rows, parameters)
     except Exception as error:
         if not any(len(times) for _, times, _ in rows.values()):
             # DFReader reports damage by whatever exception its parser ran into.
@@ -158,16 +157,20 @@ def _read(
     """Fill the rows of the named messages, numbers only, and the parameters."""
     from pymavlink.DFReader import DFReader_binary
 
-    reader: Any = DFReader_binary(str(path))
-    while (message := reader.recv_match(type=names)) is not None:
-        kind, held = message.get_type(), message.to_dict()
-        if kind == "PARM":
-            parameters[str(held["Name"])] = float(held["Value"])
-            continue
-        if any(held.get(field) for field in INSTANCES):
-            continue
-        numbers = {k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"}
-        fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
-        if tuple(numbers) == fields:
-            times.append(int(held["TimeUS"]))
-            values.extend(numbers.values())
+    # DFReader prints what it cannot read, and leaves the file open if it cannot read the beginning.
+    with warnings.catch_warnings(), redirect_stderr(StringIO()), redirect_stdout(StringIO()):
+        warnings.simplefilter("ignore", ResourceWarning)
+        reader: Any = DFReader_binary(str(path))
+    with closing(reader.filehandle):
+        while (message := reader.recv_match(type=names)) is not None:
+            kind, held = message.get_type(), message.to_dict()
+            if kind == "PARM":
+                parameters[str(held["Name"])] = float(held["Value"])
+                continue
+            if any(held.get(field) for field in INSTANCES):
+                continue
+            numbers = {k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"}
+            fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
+            if tuple(numbers) == fields:
+                times.append(int(held["TimeUS"]))
+                values.extend(numbers.values())

@@ -29,7 +29,7 @@ def recording(nanobench_file: Callable[..., Path]) -> Recording:
 
 def test_recording_reads_back_as_a_flight(tmp_path: Path, recording: Recording, nano: Vehicle) -> None:
     path = tmp_path / "f.mcap"
-    counts = write(recording, nano, path, format="nanobench", provenance={"source_id": "abc"})
+    counts, _ = write(recording, nano, path, format="nanobench", provenance={"source_id": "abc"})
     flight = read_flight(path)
     assert flight.kind == "imported"
     assert flight.vehicle == nano
