@@ -64,6 +64,11 @@ VERBS = (
         help="Make a feed-forward that compensates a model's effects and network on board.",
     ),
     Verb(name="import", module="import_", help="Convert a foreign flight log to a Trimtab log."),
+    Verb(
+        name="vehicle",
+        module="vehicle",
+        help="Write a vehicle file from a few facts, or check one against a flight.",
+    ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
