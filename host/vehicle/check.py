@@ -1,4 +1,7 @@
-"""Does a vehicle file fit a flight log? Figures from `fit`, ranges from the file's tolerances, verdicts as codes."""
+"""Check of a vehicle file against a flight log.
+
+The figures come from `fit`, the expected ranges from the file's tolerances, the verdicts are codes.
+"""
 
 from __future__ import annotations
 
@@ -17,6 +20,7 @@ from trimtab.host.vehicle.fit import (
     Motion,
     ThrustFigures,
     TorqueFigures,
+    Tracks,
     motion,
     thrust_figures,
     torque_figures,
@@ -144,8 +148,8 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None, rules: Rules = 
     moved = flight_motion(flight, chosen)
     if moved is None:
         raise UsageError(
-            f"{flight.path}: less than two seconds in the air with motor commands or thrust, poses or inertial "
-            "measurements; check another log"
+            f"{flight.path}: less than two seconds in the air with motor commands or thrust, and "
+            "with poses or inertial measurements; check another log"
         )
     unknown = flight.metadata.get("unknown", "").split()
     voltage = None if flight.battery is None else float(np.median(flight.battery.battery_v))
@@ -165,30 +169,35 @@ def flight_motion(flight: Flight, vehicle: Vehicle) -> Motion | None:
     """Return a flight's tracking phase on one grid, for `fit`; None if it has too little data."""
     if flight.tracking is None:
         return None
-    mocap, control, recorded = flight.mocap, flight.control, flight.recorded_inputs
-    poses = None if mocap is None or len(mocap) < 4 else (mocap.t_us, mocap.p, mocap.q)
+    control, recorded, imu, mocap = flight.control, flight.recorded_inputs, flight.recorded_imu, flight.mocap
     if control is not None and len(control) > 1:
         sensed_us = control.sensed_us.mean(axis=1)
-        return motion(
-            vehicle,
-            inputs=(0.5 * (control.t0_us + control.t1_us), control.motor_mean, None, None),
-            rate=(sensed_us, control.gyro_mean),
-            force=(sensed_us, control.force_mean),
-            span_us=flight.tracking,
+        tracks = Tracks(
+            input_us=0.5 * (control.t0_us + control.t1_us),
+            motor_command=control.motor_mean,
+            rate_us=sensed_us,
+            rate_frd=control.gyro_mean,
+            force_us=sensed_us,
+            specific_force_frd=control.force_mean,
         )
+        return motion(tracks, vehicle, flight.tracking)
     if recorded is None or len(recorded) < 2 or recorded.level == "reference":
         return None
-    held_us = recorded.t_us + 0.5 * float(np.median(np.diff(recorded.t_us)))
-    torque = None if "torque" in flight.metadata.get("unknown", "").split() else recorded.torque_n_m
-    imu = flight.recorded_imu
-    return motion(
-        vehicle,
-        inputs=(held_us, recorded.motor, recorded.thrust_n, torque),
-        rate=None if imu is None or imu.gyro is None else (imu.t_us, imu.gyro),
-        force=None if imu is None or imu.specific_force is None else (imu.t_us, imu.specific_force),
-        poses=poses,
-        span_us=flight.tracking,
+    has_torque = "torque" not in flight.metadata.get("unknown", "").split()
+    tracks = Tracks(
+        input_us=recorded.t_us + 0.5 * float(np.median(np.diff(recorded.t_us))),
+        motor_command=recorded.motor,
+        thrust_n=recorded.thrust_n,
+        torque_n_m=recorded.torque_n_m if has_torque else None,
+        rate_us=None if imu is None or imu.gyro is None else imu.t_us,
+        rate_frd=None if imu is None else imu.gyro,
+        force_us=None if imu is None or imu.specific_force is None else imu.t_us,
+        specific_force_frd=None if imu is None else imu.specific_force,
+        pose_us=None if mocap is None else mocap.t_us,
+        p_ned=None if mocap is None else mocap.p,
+        q_ned_frd=None if mocap is None else mocap.q,
     )
+    return motion(tracks, vehicle, flight.tracking)
 
 
 def decide(

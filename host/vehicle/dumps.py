@@ -213,7 +213,9 @@ def _needed(values: Mapping[str, float], name: str, source: str) -> float:
 def _curve(name: str, share: float, source: str) -> tuple[float, float]:
     """Return [c1, c2]: both autopilots state the quadratic part of the curve."""
     if not 0.0 <= share <= 1.0:
-        raise UsageError(f"{source}: {name} {share:g} is outside 0 to 1; a vehicle file cannot hold that curve")
+        raise UsageError(
+            f"{source}: {name} {share:g} is outside 0 to 1; a vehicle file cannot hold that curve"
+        )
     quadratic = round(share, 3)
     return round(1.0 - quadratic, 3), quadratic
 

@@ -31,6 +31,9 @@ BLOCK_S = 0.04
 SLOWEST_INPUT_S = 0.05
 """Interval between inputs above which nothing can be said about torque."""
 
+LEAST_US = 2_000_000
+"""Least time in the air."""
+
 _GRID_S = GRID_US * 1e-6
 _TRIANGLE_S = 0.1
 """Half the width of the filter on forces: the second difference of positions has the same shape."""
@@ -49,6 +52,39 @@ _RANK_LEAST = 1e-3
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Tracks:
+    """The tracks of a recording, each with its own times. None: not recorded.
+
+    Attributes
+    ----------
+    input_us
+        Middle of the interval in which each row of inputs acts.
+    motor_command
+        In 0..1, in the order of the vehicle's rotors.
+    thrust_n, torque_n_m
+        Commanded collective thrust and, if known, torque (FRD), instead of motor commands.
+    rate_us, rate_frd
+        Body rate, rad/s. None: from the poses.
+    force_us, specific_force_frd
+        Specific force, m/s^2. None: from the poses.
+    pose_us, p_ned, q_ned_frd
+        Positions, m, and attitudes, w first.
+    """
+
+    input_us: Annotated[np.ndarray, "inputs"]
+    motor_command: Annotated[np.ndarray, "inputs 4"] | None = None
+    thrust_n: Annotated[np.ndarray, "inputs"] | None = None
+    torque_n_m: Annotated[np.ndarray, "inputs 3"] | None = None
+    rate_us: Annotated[np.ndarray, "rates"] | None = None
+    rate_frd: Annotated[np.ndarray, "rates 3"] | None = None
+    force_us: Annotated[np.ndarray, "forces"] | None = None
+    specific_force_frd: Annotated[np.ndarray, "forces 3"] | None = None
+    pose_us: Annotated[np.ndarray, "poses"] | None = None
+    p_ned: Annotated[np.ndarray, "poses 3"] | None = None
+    q_ned_frd: Annotated[np.ndarray, "poses 4"] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Motion:
     """A flight on a grid of GRID_US.
 
@@ -59,7 +95,7 @@ class Motion:
     rate_frd, specific_force_frd
         Body rate (rad/s) and specific force (m/s^2), measured or derived from poses.
     rotor_thrust_n
-        Thrust of each rotor that the commands ask for, behind the motor lag; None if only thrust was recorded.
+        Thrust of each rotor that the commands ask for, behind the motor lag; None without motor commands.
     collective_n
         Sum of the rotors' thrusts, behind the motor lag.
     torque_n_m
@@ -130,81 +166,56 @@ class TorqueFigures:
     """
 
     gain: tuple[Estimate | None, Estimate | None, Estimate | None]
-    order: tuple[int, int, int, int] | None = None
+    order: tuple[int, ...] | None = None
     order_margin: float = 0.0
     order_lead: float = 0.0
-    spins: tuple[int, int, int, int] | None = None
+    spins: tuple[int, ...] | None = None
     spins_margin: float = 0.0
     spins_lead: float = 0.0
 
 
-def motion(
-    vehicle: Vehicle,
-    *,
-    inputs: tuple[
-        Annotated[np.ndarray, "inputs"],
-        Annotated[np.ndarray, "inputs 4"] | None,
-        Annotated[np.ndarray, "inputs"] | None,
-        Annotated[np.ndarray, "inputs 3"] | None,
-    ],
-    rate: tuple[Annotated[np.ndarray, "rates"], Annotated[np.ndarray, "rates 3"]] | None = None,
-    force: tuple[Annotated[np.ndarray, "forces"], Annotated[np.ndarray, "forces 3"]] | None = None,
-    poses: tuple[
-        Annotated[np.ndarray, "poses"], Annotated[np.ndarray, "poses 3"], Annotated[np.ndarray, "poses 4"]
-    ]
-    | None = None,
-    span_us: tuple[int, int],
-) -> Motion | None:
-    """Return the flight between two times on one grid; None if less than two seconds of it have all tracks.
+def motion(tracks: Tracks, vehicle: Vehicle, span_us: tuple[int, int]) -> Motion | None:
+    """Return the flight between two times on one grid; None if less than two seconds have all that is needed.
 
-    Parameters
-    ----------
-    vehicle
-        File whose thrust curve and motor lag apply.
-    inputs
-        Times, and either motor commands in 0..1 in the order of the vehicle's rotors, or collective thrust (N)
-        and, if known, torque (N m, FRD). A time is the middle of the interval in which its row acts.
-    rate, force
-        Times with body rate (rad/s, FRD) and specific force (m/s^2, FRD). None: from the poses.
-    poses
-        Times, positions (NED) and attitudes (w first). Needed for what is not measured.
-    span_us
-        Time in the air.
+    The vehicle's thrust curve and motor lag apply to the commands.
     """
-    input_us, command, thrust_n, torque = inputs
-    tracks = [each[0] for each in (inputs, rate, force) if each is not None]
-    if rate is None or force is None:
-        if poses is None:
+    needed = [tracks.input_us]
+    for times in (tracks.rate_us, tracks.force_us):
+        if times is not None:
+            needed.append(times)
+        elif tracks.pose_us is not None:
+            needed.append(tracks.pose_us)
+        else:
             return None
-        tracks.append(poses[0][1:-1])
-    if min(len(times) for times in tracks) < 2:
+    if min(map(len, needed)) < 2:
         return None
-    begin = max(span_us[0], *(int(times[0]) for times in tracks))
-    end = min(span_us[1], *(int(times[-1]) for times in tracks))
+    begin = max(span_us[0], *(int(times[0]) for times in needed))
+    end = min(span_us[1], *(int(times[-1]) for times in needed))
     t_us = np.arange(begin, end + 1, GRID_US)
-    if len(t_us) < 2_000_000 // GRID_US:
+    if len(t_us) < LEAST_US // GRID_US:
         return None
 
-    def behind(values: np.ndarray) -> np.ndarray:
-        return lagged(_at(t_us, input_us, values), vehicle.motor_lag_s)
+    def behind_lag(values: np.ndarray) -> np.ndarray:
+        return lagged(_at(t_us, tracks.input_us, values), vehicle.motor_lag_s)
 
-    rotors = None
-    if command is not None:
-        c1, c2 = vehicle.thrust_curve
-        rotors = behind(np.asarray(command_to_thrust(command, vehicle.thrust_max_n, c1, c2)))  # type: ignore[arg-type]
+    rotors, torque = None, None
+    if tracks.motor_command is not None:
+        thrust_n = command_to_thrust(tracks.motor_command, vehicle.thrust_max_n, *vehicle.thrust_curve)
+        rotors = behind_lag(thrust_n)
         collective = rotors.sum(axis=1)
-    elif thrust_n is not None:
-        collective = behind(thrust_n[:, None])[:, 0]
+    elif tracks.thrust_n is not None:
+        collective = behind_lag(tracks.thrust_n[:, None])[:, 0]
+        torque = None if tracks.torque_n_m is None else behind_lag(tracks.torque_n_m)
     else:
         return None
     return Motion(
         t_us=t_us,
-        rate_frd=_at(t_us, *rate) if rate is not None else _rate_of_poses(t_us, poses),
-        specific_force_frd=_at(t_us, *force) if force is not None else _force_of_poses(t_us, poses),
+        rate_frd=_rate(tracks, t_us),
+        specific_force_frd=_force(tracks, t_us),
         collective_n=collective,
         rotor_thrust_n=rotors,
-        torque_n_m=None if torque is None or rotors is not None else behind(torque),
-        input_s=float(np.median(np.diff(input_us))) * 1e-6,
+        torque_n_m=torque,
+        input_s=float(np.median(np.diff(tracks.input_us))) * 1e-6,
     )
 
 
@@ -253,51 +264,63 @@ def torque_figures(flight: Motion, vehicle: Vehicle) -> TorqueFigures | None:
         return None
     inertia = np.array(vehicle.inertia_kg_m2)
     turning, rate = _blocks(flight.rate_frd)
-    expected = turning + np.cross(rate, rate * inertia) / inertia
-    measured = np.diff(expected, axis=0)
     lift = np.diff(_between(flight.collective_n[:, None]), axis=0)
+    measured = _without(np.diff(turning + np.cross(rate, rate * inertia) / inertia, axis=0), lift)
     if flight.rotor_thrust_n is None:
         if flight.torque_n_m is None:
             return None
-        torque = np.diff(_between(flight.torque_n_m), axis=0) / inertia
-        gains = [_axis(torque[:, k], measured[:, k], lift) for k in range(3)]
-        return TorqueFigures(gain=_gains(gains))
-    thrust = np.diff(_between(flight.rotor_thrust_n), axis=0)
-    arms = np.array([rotor.position_m for rotor in vehicle.rotors])
-    levers = np.stack([-arms[:, 1], arms[:, 0]]) / inertia[:2, None]
-    orders = list(itertools.permutations(range(4)))
-    turned = np.array(
-        [
-            sum(_likelihood(thrust[:, order] @ levers[k], measured[:, k], lift) for k in range(2))
-            for order in orders
-        ]
-    )
-    best, margin, lead = _best(turned, orders.index((0, 1, 2, 3)))
-    order = orders[best]
+        expected = _without(np.diff(_between(flight.torque_n_m), axis=0), lift) / inertia
+        return TorqueFigures(gain=_gains(expected, measured))
+    thrust = _without(np.diff(_between(flight.rotor_thrust_n), axis=0), lift)
+    order, order_margin, order_lead = _most_likely_order(thrust, measured, vehicle)
     thrust, mean = thrust[:, order], flight.rotor_thrust_n[:, order].mean(axis=0)
-    signs = [each for each in itertools.product((1, -1), repeat=4) if _turns_all(vehicle, each)]
-    own = signs.index(tuple(rotor.spin_sign for rotor in vehicle.rotors))
-    yawed = np.array(
-        [
-            _likelihood(thrust @ np.array(each), measured[:, 2], lift)
-            - 0.5 * (float(mean @ np.array(each)) / (_YAW_TRIM * float(mean.sum()))) ** 2
-            for each in signs
-        ]
-    )
-    chosen, spins_margin, spins_lead = _best(yawed, own)
-    spins = signs[chosen]
-    rows = [thrust @ lever for lever in levers]
-    rows.append(vehicle.torque_per_thrust_m / inertia[2] * thrust @ np.array(spins))
-    gains = [_axis(row, measured[:, k], lift) for k, row in enumerate(rows)]
+    spins, spins_margin, spins_lead = _most_likely_spins(thrust, mean, measured[:, 2], vehicle)
+    yaw = vehicle.torque_per_thrust_m / inertia[2] * np.array(spins)
     return TorqueFigures(
-        gain=_gains(gains),
+        gain=_gains(thrust @ np.vstack([_levers(vehicle), yaw]).T, measured),
         order=order,
-        order_margin=margin,
-        order_lead=lead,
+        order_margin=order_margin,
+        order_lead=order_lead,
         spins=spins,
         spins_margin=spins_margin,
         spins_lead=spins_lead,
     )
+
+
+def _levers(vehicle: Vehicle) -> np.ndarray:
+    """Return the angular acceleration about roll and pitch (2, 4) for a newton of each rotor."""
+    arms = np.array([rotor.position_m for rotor in vehicle.rotors])
+    return np.stack([-arms[:, 1], arms[:, 0]]) / np.array(vehicle.inertia_kg_m2)[:2, None]
+
+
+def _most_likely_order(
+    thrust: np.ndarray, measured: np.ndarray, vehicle: Vehicle
+) -> tuple[tuple[int, ...], float, float]:
+    """Return the order of the commands that explains roll and pitch best, its margin and its lead."""
+    orders = list(itertools.permutations(range(4)))
+    levers = _levers(vehicle)
+    likelihood = [
+        sum(_likelihood(thrust[:, order] @ levers[k], measured[:, k]) for k in range(2)) for order in orders
+    ]
+    best, margin, lead = _best(np.array(likelihood), orders.index((0, 1, 2, 3)))
+    return orders[best], margin, lead
+
+
+def _most_likely_spins(
+    thrust: np.ndarray, mean: np.ndarray, measured: np.ndarray, vehicle: Vehicle
+) -> tuple[tuple[int, ...], float, float]:
+    """Return the signs that cancel in the mean and explain yaw best, their margin and their lead."""
+    signs: list[tuple[int, ...]] = [
+        each for each in itertools.product((1, -1), repeat=4) if _turns_all(vehicle, each)
+    ]
+    own = signs.index(tuple(rotor.spin_sign for rotor in vehicle.rotors))
+    likelihood = [
+        _likelihood(thrust @ np.array(each), measured)
+        - 0.5 * (float(mean @ np.array(each)) / (_YAW_TRIM * float(mean.sum()))) ** 2
+        for each in signs
+    ]
+    best, margin, lead = _best(np.array(likelihood), own)
+    return signs[best], margin, lead
 
 
 def _turns_all(vehicle: Vehicle, spins: Sequence[int]) -> bool:
@@ -308,8 +331,13 @@ def _turns_all(vehicle: Vehicle, spins: Sequence[int]) -> bool:
     return bool(sizes[-1] > _RANK_LEAST * sizes[0])
 
 
-def _gains(each: Sequence[Estimate | None]) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
-    roll, pitch, yaw = each
+def _gains(
+    expected: np.ndarray, measured: np.ndarray
+) -> tuple[Estimate | None, Estimate | None, Estimate | None]:
+    """Return measured over expected angular acceleration of each axis, None where none was expected."""
+    roll, pitch, yaw = (
+        _slope(x, y) if float(x @ x) > 0.0 else None for x, y in zip(expected.T, measured.T, strict=True)
+    )
     return roll, pitch, yaw
 
 
@@ -318,25 +346,30 @@ def _at(t_us: np.ndarray, times: np.ndarray, values: np.ndarray) -> np.ndarray:
     return np.column_stack([np.interp(t_us, times, values[:, k]) for k in range(values.shape[1])])
 
 
-def _attitude(t_us: np.ndarray, poses: tuple[np.ndarray, np.ndarray, np.ndarray]) -> Rotation:
-    slerp = Slerp(poses[0], Rotation.from_quat(poses[2], scalar_first=True))
-    return slerp(np.clip(t_us, poses[0][0], poses[0][-1]))
+def _attitude(tracks: Tracks, t_us: np.ndarray) -> Rotation:
+    assert tracks.pose_us is not None
+    slerp = Slerp(tracks.pose_us, Rotation.from_quat(tracks.q_ned_frd, scalar_first=True))
+    return slerp(np.clip(t_us, tracks.pose_us[0], tracks.pose_us[-1]))
 
 
-def _rate_of_poses(t_us: np.ndarray, poses: tuple[np.ndarray, np.ndarray, np.ndarray] | None) -> np.ndarray:
-    """Return the body rate from the change of the attitude over two steps of the grid."""
-    assert poses is not None
-    before, after = (_attitude(t_us + shift, poses) for shift in (-GRID_US, GRID_US))
+def _rate(tracks: Tracks, t_us: np.ndarray) -> np.ndarray:
+    """Return the body rate, from the change of the attitude over two steps of the grid if not measured."""
+    if tracks.rate_us is not None and tracks.rate_frd is not None:
+        return _at(t_us, tracks.rate_us, tracks.rate_frd)
+    before, after = (_attitude(tracks, t_us + shift) for shift in (-GRID_US, GRID_US))
     return (before.inv() * after).as_rotvec() / (2.0 * _GRID_S)
 
 
-def _force_of_poses(t_us: np.ndarray, poses: tuple[np.ndarray, np.ndarray, np.ndarray] | None) -> np.ndarray:
-    """Return the specific force from the second difference of the positions."""
-    assert poses is not None
+def _force(tracks: Tracks, t_us: np.ndarray) -> np.ndarray:
+    """Return the specific force, from the second difference of the positions if not measured."""
+    if tracks.force_us is not None and tracks.specific_force_frd is not None:
+        return _at(t_us, tracks.force_us, tracks.specific_force_frd)
+    assert tracks.pose_us is not None
+    assert tracks.p_ned is not None
     step_us = round(_TRIANGLE_S * 1e6)
-    before, now, after = (_at(t_us + shift, poses[0], poses[1]) for shift in (-step_us, 0, step_us))
+    before, now, after = (_at(t_us + shift, tracks.pose_us, tracks.p_ned) for shift in (-step_us, 0, step_us))
     a_ned = (before - 2.0 * now + after) / _TRIANGLE_S**2
-    return _attitude(t_us, poses).inv().apply(a_ned - np.array([0.0, 0.0, GRAVITY]))
+    return _attitude(tracks, t_us).inv().apply(a_ned - np.array([0.0, 0.0, GRAVITY]))
 
 
 def _triangle(values: np.ndarray) -> np.ndarray:
@@ -375,24 +408,17 @@ def _slope(x: np.ndarray, y: np.ndarray) -> Estimate:
     return Estimate(value=value, sd=float(np.sqrt(sum(float(part.sum()) ** 2 for part in parts))) / square)
 
 
-def _without(x: np.ndarray, others: np.ndarray) -> np.ndarray:
-    """Return x without what a constant and the other columns explain of it."""
-    design = np.column_stack([others, np.ones(len(x))])
-    return x - design @ np.linalg.lstsq(design, x, rcond=None)[0]
+def _without(values: np.ndarray, other: np.ndarray) -> np.ndarray:
+    """Return columns without what a constant and another column explain of them."""
+    design = np.column_stack([other, np.ones(len(values))])
+    return values - design @ np.linalg.lstsq(design, values, rcond=None)[0]
 
 
-def _axis(expected: np.ndarray, measured: np.ndarray, lift: np.ndarray) -> Estimate | None:
-    """Return measured over expected angular acceleration of an axis, or None if none was expected."""
-    x = _without(expected, lift)
-    return _slope(x, _without(measured, lift)) if float(x @ x) > 0.0 else None
-
-
-def _likelihood(expected: np.ndarray, measured: np.ndarray, lift: np.ndarray) -> float:
+def _likelihood(expected: np.ndarray, measured: np.ndarray) -> float:
     """Return the log-likelihood by which a positive gain explains the measurement better than none."""
-    x, y = _without(expected, lift), _without(measured, lift)
-    norm = float(x @ x) * float(y @ y)
-    correlation = float(x @ y) / np.sqrt(norm) if norm > 0.0 else 0.0
-    return -0.5 * len(y) * float(np.log1p(-min(max(correlation, 0.0), 0.9999) ** 2))
+    norm = float(expected @ expected) * float(measured @ measured)
+    correlation = float(expected @ measured) / np.sqrt(norm) if norm > 0.0 else 0.0
+    return -0.5 * len(measured) * float(np.log1p(-(min(max(correlation, 0.0), 0.9999) ** 2)))
 
 
 def _best(likelihood: np.ndarray, own: int) -> tuple[int, float, float]:

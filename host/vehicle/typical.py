@@ -32,7 +32,7 @@ LOADED_SPEED = 0.65
 AIR_DENSITY_KG_M3 = 1.2
 
 THRUST_TO_WEIGHT = ((0.06, 2.0), (1.2, 4.0), (math.inf, 2.2))
-"""Mass below which, kg, the four rotors at full command lift this multiple of the weight, if kv is unknown."""
+"""Mass below which, kg, four rotors at full command lift this multiple of the weight; used without kv."""
 
 CELLS = ((0.06, 1), (0.15, 2), (0.4, 3), (1.5, 4), (math.inf, 6))
 """Mass below which, kg, the battery has this number of cells."""
@@ -207,7 +207,11 @@ def _greatest_thrust(facts: Facts, cells: int | float) -> tuple[float, str, floa
         return quarter_n / facts.hover_share, "weight over the hover thrust of the parameter file", 0.05
     if facts.kv_rpm_v is None:
         ratio = _by_mass(THRUST_TO_WEIGHT, facts.mass_kg)
-        return ratio * quarter_n, f"guess: the rotors lift {ratio:g} times the weight; --kv knows better", 0.15
+        return (
+            ratio * quarter_n,
+            f"guess: the rotors lift {ratio:g} times the weight; --kv knows better",
+            0.15,
+        )
     a, b = THRUST_COEFFICIENT
     diameter_m = facts.propeller.diameter_m
     coefficient = a + b * facts.propeller.pitch_m / diameter_m
@@ -234,8 +238,9 @@ def _head(facts: Facts) -> list[str]:
     motor = "" if facts.kv_rpm_v is None else f", {facts.kv_rpm_v:g} kv"
     arm = f"arms of {arm_length(facts.rotors):.4g} m"
     return [
-        "Written by `trimtab vehicle new`. A guess is a typical value that nobody measured here. Replace it",
-        "by a measured one and lower its tolerance. `trimtab vehicle check LOG` compares the file with a flight.",
+        "Written by `trimtab vehicle new`. A guess is a typical value that nobody measured here.",
+        "Replace guesses by measured values and lower their tolerances.",
+        "`trimtab vehicle check LOG` compares this file with a flight.",
         f"Given: {facts.mass_kg:g} kg, {arm}, propellers of {d:g} x {p:g} in{motor}.",
         *facts.sources,
         "Frames: body FRD, world NED; motor_command[i] drives rotors[i].",
@@ -262,7 +267,7 @@ def _side(y: float) -> str:
 
 
 def _limits(hover_share: float) -> list[str]:
-    """Return the limits: cautious, and a tilt at which the rotors still carry the weight with a fifth left."""
+    """Return cautious limits, with a tilt at which the rotors carry the weight with a fifth to spare."""
     level = hover_share / (0.8 * HEADROOM[1])
     tilt = min(TILT_MOST_DEG, math.floor(math.degrees(math.acos(min(level, 1.0)))))
     limit, room = FIRST_LIMITS, FIRST_LIMITS["room_m"]
