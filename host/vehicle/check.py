@@ -59,7 +59,7 @@ class Rules:
     slope: tuple[float, float] = (0.6, 1.6)
     """Change of thrust over its level: an offset of the command leaves this range."""
     slope_sd: float = 0.1
-    """Standard deviation of that ratio above which it is unknown."""
+    """Standard deviation of that ratio, relative if it is above 1, from which on it is unknown."""
     side_force: float = 0.15
     """Mean specific force across the thrust, over gravity."""
     gain_sd: float = 0.25
@@ -269,7 +269,7 @@ def _thrust(
         )
     )
     slope = None if thrust is None else thrust.slope
-    sure = slope is not None and slope.sd < rules.slope_sd
+    sure = slope is not None and slope.sd < rules.slope_sd * max(1.0, abs(slope.value))
     forces = (None, None) if thrust is None else thrust.force_xyz[:2]
     return [
         _figure(

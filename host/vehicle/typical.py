@@ -54,12 +54,13 @@ FIRST_LIMITS = {"speed_m_s": 5.0, "rate_rad_s": 5.0, "yaw_rate_rad_s": 2.5, "jer
 
 TILT_MOST_DEG = 50.0
 HEADROOM = (0.08, 0.85)
-HOVER_SHARE_MOST = 0.65
-"""Share of its greatest thrust from which on a hovering rotor has too little left to control the attitude."""
+HOVER_SHARE_LEAST, HOVER_SHARE_MOST = 0.05, 0.65
+"""Share of its greatest thrust at which a rotor hovers. Above, too little is left to control the attitude;
+below, one of the facts is wrong."""
 
 RANGES = {
-    "mass_kg": (0.015, 25.0),
-    "arm_m": (0.02, 1.2),
+    "mass_kg": (0.015, 10.0),
+    "arm_m": (0.02, 1.0),
     "diameter_in": (1.0, 40.0),
     "pitch_in": (0.3, 30.0),
     "kv": (50.0, 30000.0),
@@ -147,9 +148,10 @@ def typical_file(name: str, facts: Facts) -> str:
     cells = facts.cells or _by_mass(CELLS, mass)
     thrust_max_n, thrust_source, gain_sigma = _greatest_thrust(facts, cells)
     hover_share = mass * GRAVITY / (4.0 * thrust_max_n)
-    if hover_share > HOVER_SHARE_MOST:
+    if not HOVER_SHARE_LEAST <= hover_share <= HOVER_SHARE_MOST:
         raise UsageError(
-            f"these rotors lift {1.0 / hover_share:.2g} times the weight, too little to fly; "
+            f"these rotors lift {1.0 / hover_share:.3g} times the weight, not "
+            f"{1.0 / HOVER_SHARE_MOST:.2g} to {1.0 / HOVER_SHARE_LEAST:.2g}; "
             "check mass, propeller, kv and cells"
         )
     c2 = round(_curve(propeller.diameter_m), 2)

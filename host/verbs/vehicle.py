@@ -91,7 +91,7 @@ def _facts(options: NewOptions) -> tuple[Facts, list[str]]:
     """Return the facts in the options and in the parameter file, and notes. Raises UsageError."""
     from trimtab.host.base.errors import UsageError
     from trimtab.host.vehicle.dumps import read_dump
-    from trimtab.host.vehicle.typical import Facts, check_range, parse_propeller, square_rotors
+    from trimtab.host.vehicle.typical import Facts, arm_length, check_range, parse_propeller, square_rotors
 
     propeller = parse_propeller(options.propeller)
     for key, option in (("mass_kg", "--mass-kg"), ("arm_m", "--arm-m"), ("kv", "--kv"), ("cells", "--cells")):
@@ -108,6 +108,7 @@ def _facts(options: NewOptions) -> tuple[Facts, list[str]]:
         assert arm_m is not None
         return Facts(**known, rotors=square_rotors(arm_m)), []
     rotors = dump.rotors if arm_m is None else dump.with_arm(arm_m)
+    check_range("arm_m", arm_length(rotors), f"{options.parameters}: arms, or --arm-m, of")
     notes = [f"{dump.autopilot}: {dump.frame}"]
     if dump.pwm_us is not None:
         low, high = dump.pwm_us
@@ -161,4 +162,6 @@ def check(
     }
     emit(answer, json)
     if not result.fits:
-        raise GateMissed(f"{name} does not fit {log}: {', '.join(result.differing)}; correct the vehicle file")
+        raise GateMissed(
+            f"{name} does not fit {log}: {', '.join(result.differing)}; correct the vehicle file"
+        )

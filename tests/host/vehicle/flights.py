@@ -1,7 +1,7 @@
 """Simulated flights for the tests of `fit`, many seeds at once, written apart from the simulator and the law.
 
-A rigid body under four lagging rotors follows tilts and a yaw rate; a slow disturbance pushes and turns it, and
-the gyro is noisy.
+A rigid body under four lagging rotors follows tilts and a yaw rate. A slow disturbance pushes and turns it,
+and the gyro is noisy.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ LOG_EVERY = 5
 GRAVITY_M_S2 = 9.80665
 
 
-def fly(vehicle: Vehicle, seeds: int, *, duration_s: float = 12.0, seed: int = 1) -> list[Tracks]:
+def fly(vehicle: Vehicle, seeds: int, *, duration_s: float = 10.0, seed: int = 1) -> list[Tracks]:
     """Return one flight for each seed. Inertia and thrust deviate as the file's tolerances say."""
     rng = np.random.default_rng(seed)
     tolerance = vehicle.tolerance
