@@ -37,6 +37,15 @@ ROOT = Path(__file__).parents[2]
 PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
 
 
+SUBCOMMANDS = (
+    ["log", "info"],
+    ["log", "recover"],
+    ["log", "export"],
+    ["vehicle", "new"],
+    ["vehicle", "check"],
+)
+
+
 @pytest.mark.parametrize(
     ("page", "models"),
     [
@@ -74,7 +83,7 @@ def test_commands_of_page_are_ones_that_the_command_line_takes(page: Path) -> No
 
 def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None:
     verbs = [[verb.name] for verb in VERBS]
-    for words in ([], *verbs, ["log", "info"], ["log", "recover"], ["log", "export"]):
+    for words in ([], *verbs, *SUBCOMMANDS):
         build_app()([*words, "--help"])
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
     for page in PAGES:
