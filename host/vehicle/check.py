@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from trimtab.firmware_model.law.allocation import command_to_thrust
 from trimtab.host.base.errors import UsageError
 from trimtab.host.vehicle.fit import (
     Estimate,
@@ -145,34 +146,35 @@ def check_flight(flight: Flight, vehicle: Vehicle | None = None, rules: Rules = 
     Raises UsageError if the log has less than two seconds in the air with inputs, rates and forces.
     """
     chosen = vehicle or flight.vehicle
-    moved = flight_motion(flight, chosen)
-    if moved is None:
+    tracks = flight_tracks(flight)
+    moved = None
+    if tracks is not None and flight.tracking is not None:
+        moved = motion(tracks, chosen, flight.tracking)
+    thrust = None if moved is None else thrust_figures(moved, chosen.mass_kg)
+    torque = None if moved is None else torque_figures(moved, chosen)
+    if tracks is None or moved is None or (thrust is None and torque is None):
         raise UsageError(
             f"{flight.path}: less than two seconds in the air with motor commands or thrust, and "
             "with poses or inertial measurements; check another log"
         )
-    unknown = flight.metadata.get("unknown", "").split()
-    voltage = None if flight.battery is None else float(np.median(flight.battery.battery_v))
     return decide(
-        thrust_figures(moved, chosen.mass_kg),
-        torque_figures(moved, chosen),
+        thrust,
+        torque,
         chosen,
-        limits=_limit_figures(flight, moved, chosen),
+        limits=_limit_figures(flight, tracks, moved, chosen),
         logged=flight.vehicle,
-        unknown=unknown,
-        voltage=voltage,
+        unknown=flight.metadata.get("unknown", "").split(),
+        voltage=None if flight.battery is None else float(np.median(flight.battery.battery_v)),
         rules=rules,
     )
 
 
-def flight_motion(flight: Flight, vehicle: Vehicle) -> Motion | None:
-    """Return a flight's tracking phase on one grid, for `fit`; None if it has too little data."""
-    if flight.tracking is None:
-        return None
+def flight_tracks(flight: Flight) -> Tracks | None:
+    """Return the tracks of a flight for `fit`; None without motor commands or thrust."""
     control, recorded, imu, mocap = flight.control, flight.recorded_inputs, flight.recorded_imu, flight.mocap
     if control is not None and len(control) > 1:
         sensed_us = control.sensed_us.mean(axis=1)
-        tracks = Tracks(
+        return Tracks(
             input_us=0.5 * (control.t0_us + control.t1_us),
             motor_command=control.motor_mean,
             rate_us=sensed_us,
@@ -180,11 +182,10 @@ def flight_motion(flight: Flight, vehicle: Vehicle) -> Motion | None:
             force_us=sensed_us,
             specific_force_frd=control.force_mean,
         )
-        return motion(tracks, vehicle, flight.tracking)
     if recorded is None or len(recorded) < 2 or recorded.level == "reference":
         return None
     has_torque = "torque" not in flight.metadata.get("unknown", "").split()
-    tracks = Tracks(
+    return Tracks(
         input_us=recorded.t_us + 0.5 * float(np.median(np.diff(recorded.t_us))),
         motor_command=recorded.motor,
         thrust_n=recorded.thrust_n,
@@ -197,7 +198,6 @@ def flight_motion(flight: Flight, vehicle: Vehicle) -> Motion | None:
         p_ned=None if mocap is None else mocap.p,
         q_ned_frd=None if mocap is None else mocap.q,
     )
-    return motion(tracks, vehicle, flight.tracking)
 
 
 def decide(
@@ -331,15 +331,17 @@ def _assignment(torque: TorqueFigures | None, rules: Rules) -> Assignment:
     )
 
 
-def _limit_figures(flight: Flight, moved: Motion, vehicle: Vehicle) -> list[Figure]:
+def _limit_figures(flight: Flight, tracks: Tracks, moved: Motion, vehicle: Vehicle) -> list[Figure]:
     """Return the greatest thrust, speed, tilt and body rates of a flight against the file's limits."""
     limits = vehicle.limits
-    if moved.rotor_thrust_n is not None:
-        share = float(moved.rotor_thrust_n.max()) / vehicle.thrust_max_n
+    inside = (tracks.input_us >= moved.t_us[0]) & (tracks.input_us <= moved.t_us[-1])
+    if tracks.motor_command is not None:
+        share = float(command_to_thrust(tracks.motor_command[inside].max(), 1.0, *vehicle.thrust_curve))
     else:
-        share = float(moved.collective_n.max()) / (4.0 * vehicle.thrust_max_n)
+        assert tracks.thrust_n is not None
+        share = float(tracks.thrust_n[inside].max()) / (4.0 * vehicle.thrust_max_n)
     thrust = _limit("thrust-share", share, limits.thrust_headroom[1])
-    if share > 1.0:  # more than the file says there is
+    if share > 1.0 + 1e-3:  # more than the file says there is
         thrust = Figure(name="thrust-share", value=share, low=0.0, high=1.0, verdict=Verdict.DIFFERS)
     speed, tilt = _speed_and_tilt(flight)
     rates = np.abs(moved.rate_frd).max(axis=0)

@@ -53,7 +53,7 @@ _RANK_LEAST = 1e-3
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Tracks:
-    """The tracks of a recording, each with its own times. None: not recorded.
+    """The tracks of a recording, each with its own increasing times. None: not recorded.
 
     Attributes
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
@@ -95,8 +96,7 @@ def test_px4_dump_gives_positions_spins_curve_and_hover() -> None:
 
 
 @pytest.mark.parametrize("write", [qgc, planner, proxy])
-def test_ardupilot_dump_is_read_in_every_form(write: object) -> None:
-    assert callable(write)
+def test_ardupilot_dump_is_read_in_every_form(write: Callable[[dict[str, float]], bytes]) -> None:
     dump = parse_dump(write(ARDUPILOT), "dump")
     assert places(dump) == [(1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw")]
     assert not dump.has_size
