@@ -144,7 +144,8 @@ def check(
     from trimtab.host.base.errors import GateMissed
     from trimtab.host.base.output import emit, say
     from trimtab.host.log import read_flight
-    from trimtab.host.vehicle.check import check_flight, to_lines
+    from trimtab.host.vehicle.check import to_lines
+    from trimtab.host.vehicle.log_check import check_flight
     from trimtab.host.workspace import open_workspace
 
     chosen = None if vehicle is None else open_workspace(workspace).vehicle(vehicle)

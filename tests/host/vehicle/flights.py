@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from trimtab.host.vehicle import Vehicle
-from trimtab.host.vehicle.fit import Tracks
+from trimtab.host.vehicle.motion import Tracks
 
 STEP_S = 0.002
 LOG_EVERY = 5

@@ -14,8 +14,10 @@ from scipy.spatial.transform import Rotation
 from tests.host.vehicle.flights import GRAVITY_M_S2, fly
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import Vehicle, load_vehicle, parse_vehicle
-from trimtab.host.vehicle.check import Check, Verdict, check_flight, decide
-from trimtab.host.vehicle.fit import Tracks, lagged, motion, thrust_figures, torque_figures
+from trimtab.host.vehicle.check import Check, Verdict, decide
+from trimtab.host.vehicle.fit import thrust_figures, torque_figures
+from trimtab.host.vehicle.log_check import check_flight
+from trimtab.host.vehicle.motion import Tracks, lagged, motion
 from trimtab.host.vehicle.typical import Facts, parse_propeller, square_rotors, typical_file
 
 SEEDS = 24
