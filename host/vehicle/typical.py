@@ -17,7 +17,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.vehicle.model import NAME_PATTERN, Rotor
 
 INERTIA_SHARE = (0.21, 0.21, 0.38)
-"""Moments of inertia over mass times the arm length squared. Published: 0.18 to 0.25, 0.34 to 0.42."""
+"""Moments of inertia over mass times the arm length squared. Published: 0.17 to 0.26, 0.32 to 0.49."""
 
 TORQUE_PER_PITCH = 0.19
 """Reaction torque over thrust and pitch. 1/(2 pi) is the work of one turn that moves the air by one pitch;

@@ -92,8 +92,8 @@ def test_middle_is_near_published_five_inch_quadrotors() -> None:
 
 
 def test_rules_hold_for_other_published_inertias() -> None:
-    # AscTec Hummingbird (0.53 kg, 0.17 m): 3.4e-3, 6e-3. PX4's x500 model (2 kg, 0.25 m): 0.0217, 0.04.
-    for mass_kg, arm_m, x, z in ((0.53, 0.17, 3.4e-3, 6e-3), (2.0, 0.25, 0.0217, 0.04)):
+    # AscTec Hummingbird, as RotorPy has it (0.5 kg, 0.17 m). PX4's x500 model (2 kg, 0.25 m).
+    for mass_kg, arm_m, x, z in ((0.5, 0.17, 3.65e-3, 7.03e-3), (2.0, 0.25, 0.0217, 0.04)):
         vehicle = parse_vehicle(typical_file("other", facts_of(mass_kg, arm_m, "8x4.5")), "other")
         assert within(vehicle.inertia_kg_m2[0], x, 1.5)
         assert within(vehicle.inertia_kg_m2[2], z, 1.5)
