@@ -68,6 +68,11 @@ VERBS = (
         module="import_",
         help="Say what a foreign flight log holds, or convert it to a Trimtab log.",
     ),
+    Verb(
+        name="vehicle",
+        module="vehicle",
+        help="Write a vehicle file from a few facts, or check one against a flight.",
+    ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),

@@ -2,8 +2,8 @@
 
 Tracing would explain a log that was read in a wrong frame by effects that do not exist. These checks compare
 the attitude with gyro, accelerometer and position. The bounds are wide: errors of a bad sensor pass, but a
-swapped axis, a wrong sign or a wrong unit does not. A gap in the poses is left out of every comparison. If only
-a part of the log contradicts itself, and the rest shows that axes and units are right, the rest is used.
+swapped axis, a wrong sign or a wrong unit does not. A gap in the poses is left out of every comparison. If
+only a part of the log contradicts itself, and the rest shows that axes and units are right, the rest is used.
 """
 
 from __future__ import annotations

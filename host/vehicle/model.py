@@ -24,7 +24,9 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 Positive3 = tuple[Positive, Positive, Positive]
 NonNegative3 = tuple[NonNegative, NonNegative, NonNegative]
 Vector3 = tuple[float, float, float]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$"
+"""What a vehicle's name matches."""
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

@@ -38,6 +38,15 @@ from trimtab.host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_ve
 PAGES = [*DOCS, ROOT / "CHANGELOG.md"]
 
 
+SUBCOMMANDS = (
+    ["log", "info"],
+    ["log", "recover"],
+    ["log", "export"],
+    ["vehicle", "new"],
+    ["vehicle", "check"],
+)
+
+
 @pytest.mark.parametrize(
     ("page", "models"),
     [
@@ -77,7 +86,7 @@ def test_commands_of_page_are_ones_that_the_command_line_takes(page: Path) -> No
 
 def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None:
     verbs = [[verb.name] for verb in VERBS]
-    for words in ([], *verbs, ["log", "info"], ["log", "recover"], ["log", "export"]):
+    for words in ([], *verbs, *SUBCOMMANDS):
         build_app()([*words, "--help"])
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
     for page in PAGES:

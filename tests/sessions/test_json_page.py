@@ -170,6 +170,15 @@ def test_log_prints_what_the_page_says(
     check("log recover", trimtab("log", "recover", "cut.mcap"))
 
 
+def test_vehicle_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], log: str, tmp_path: Path
+) -> None:
+    (tmp_path / "quad.param").write_text("FRAME_CLASS,1\nFRAME_TYPE,1\n")
+    known = ("--mass-kg", "0.75", "--arm-m", "0.125", "--propeller", "5x4.3", "--parameters", "quad.param")
+    check("vehicle new", trimtab("vehicle", "new", "mine", *known))
+    check("vehicle check", trimtab("vehicle", "check", log), ("differing", "[]"))
+
+
 def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     found = trimtab("trace", str(MADE / "b1.mcap"), "-o", "out")
     assert found["effects"]
