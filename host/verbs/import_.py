@@ -7,11 +7,12 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.imports.recording import Recording
     from trimtab.host.vehicle import Vehicle
+    from trimtab.host.workspace import Workspace
 
 
 def command(
@@ -20,7 +21,7 @@ def command(
     *,
     output: Annotated[Path, Parameter(name=["-o", "--output"])],
     columns: Path | None = None,
-    vehicle: VehicleName = "nano",
+    vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
@@ -37,6 +38,8 @@ def command(
         Flight log to write.
     columns
         TOML file that gives the meaning of each column. For csv.
+    vehicle
+        Vehicle that flew: its file, by name or path. It has no default, because it decides the result.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -48,7 +51,7 @@ def command(
     artefacts.check_log(output, force)
     if (profile == "csv") != (columns is not None):
         raise UsageError("the csv profile needs --columns MAP.toml; other profiles do not take it")
-    airframe = open_workspace(workspace).vehicle(vehicle)
+    airframe = _vehicle(open_workspace(workspace), vehicle)
     recording = read(profile, path, columns)
     provenance = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
     topics = _write(recording, airframe, output, profile, provenance)
@@ -68,6 +71,20 @@ def command(
         "unknown": recording.unknown,
     }
     emit(answer, json)
+
+
+def _vehicle(workspace: Workspace, name: str | None) -> Vehicle:
+    """Return the vehicle that flew. Raises UsageError without a name: a wrong one gives wrong physics."""
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.vehicle import list_vehicles
+
+    if name is None:
+        known = ", ".join(list_vehicles(workspace.root))
+        raise UsageError(
+            f"which vehicle flew? give --vehicle one of {known}, or the .toml file of another, "
+            "made from one of these with its own mass, rotors and motors"
+        )
+    return workspace.vehicle(name)
 
 
 def _write(

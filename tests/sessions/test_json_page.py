@@ -189,7 +189,10 @@ def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]
         'world = "nwu"\nbody = "flu"\ntime = "t"\nposition_m = ["x", "y", "z"]\n'
         'quaternion = ["qw", "qx", "qy", "qz"]\nthrust_n = "T"\n'
     )
-    check("import", trimtab("import", "csv", "f.csv", "--columns", "m.toml", "-o", "f.mcap"))
+    check(
+        "import",
+        trimtab("import", "csv", "f.csv", "--columns", "m.toml", "--vehicle", "nano", "-o", "f.mcap"),
+    )
 
 
 def test_upload_prints_what_the_page_says(reference: Reference) -> None:

@@ -112,7 +112,7 @@ def test_imported_log_with_an_umlaut_names_its_source(run: Run, tmp_path: Path) 
         rows.append(",".join(f"{value:.6f}" for value in [0.01 * k, *p, 1.0, 0.0, 0.0, 0.0, 0.6]))
     (tmp_path / "flüge.csv").write_text("\n".join(rows))
     (tmp_path / "spalten-ü.toml").write_text(COLUMNS)
-    words = ("import", "csv", "flüge.csv", "--columns", "spalten-ü.toml")
+    words = ("import", "csv", "flüge.csv", "--columns", "spalten-ü.toml", "--vehicle", "nano")
     code, answer, complaint = run(*words, "-o", "flüge.mcap")
     assert (code, answer["log"]) == (0, "flüge.mcap"), complaint
     code, answer, _ = run("log", "info", "flüge.mcap")

@@ -31,6 +31,7 @@ def written(folder: Path, text: str) -> Path:
     [
         ('[[group]]\nname = "x"\nlogs = []\n', "logs"),
         ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nprofile = "csv"\n', "the profile csv needs columns"),
+        ('[[group]]\nname = "x"\nlogs = ["a"]\nprofile = "nanobench"\n', "a profile needs the vehicle"),
         (
             '[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n',
             "two logs have the same name",
