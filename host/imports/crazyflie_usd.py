@@ -98,6 +98,7 @@ def read(path: Path | str) -> Recording:
         v_ref_ned=to_ned(stack(_TARGET_RATE, 1e-3), "nwu"),
         mass_kg=_declared_mass(path),
         unknown=UNKNOWN,
+        epoch_us=round(event.unit_us * float(event.times[0])),
     )
 
 

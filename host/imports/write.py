@@ -46,6 +46,8 @@ def write(
     tracking_us = airborne(r)
     plausible.check(r, tracking_us)
     origin = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    if r.epoch_us is not None:
+        origin["epoch_us"] = str(r.epoch_us)
     return write_imported(
         path,
         vehicle=_as_declared(vehicle, r),
