@@ -366,6 +366,17 @@ def test_log_held_out_and_used_is_refused(refused: Refused, log: str) -> None:
     refused("learn", log, log, code=2, parts=["the same flight as", "give it once"])
 
 
+def test_source_imported_twice_is_refused_as_the_same_flight(
+    refused: Refused, foreign: Callable[..., str], run: Callable[..., Any], tmp_path: Path
+) -> None:
+    one = foreign(THRUST)
+    (tmp_path / "hover.csv").rename(tmp_path / "renamed.csv")
+    (tmp_path / "map.toml").write_text(MAP + 'thrust_n = "m"\n')
+    assert run(*import_of("renamed.csv"), "-o", "again.mcap")[0] == 0
+    parts = ["again.mcap: the same flight as foreign.mcap; give it once"]
+    refused("trace", one, "--hold-out", "again.mcap", code=2, parts=parts, refusal="log-given-twice")
+
+
 def test_recovered_copy_of_a_log_is_refused_as_the_same_flight(
     refused: Refused, log: str, tmp_path: Path
 ) -> None:

@@ -59,6 +59,18 @@ def test_logs_of_other_sessions_or_arm_times_hold_different_flights(write: Write
     assert not is_same_flight(one, write("no-session", session={}))
 
 
+def test_imports_of_one_source_hold_the_same_flight(write: Write) -> None:
+    one = write("one", session={"source_id": "abc", "source_file": "a.csv"})
+    renamed = write("renamed", session={"source_id": "abc", "source_file": "b.csv"})
+    other_axes = write("axes", session={"source_id": "abc"}, east_m=1.0)
+    for again in (renamed, other_axes):
+        assert one.id != again.id
+        assert is_same_flight(one, again)
+    assert not is_same_flight(one, write("other", session={"source_id": "abd"}))
+    assert not is_same_flight(one, write("bare", session={}))
+    assert not is_same_flight(write("bare-1", session={}, noise=1), write("bare-2", session={}, noise=2))
+
+
 def test_simulated_flights_of_one_seed_that_part_in_the_air_are_different(write: Write) -> None:
     """They share session, time of arming and the poses until their references part."""
     assert not is_same_flight(write("one", session=SESSION), write("other", session=SESSION, east_m=0.1))
