@@ -41,6 +41,8 @@ def command(
     vehicle
         Vehicle that flew: its file, by name or path. It has no default, because it decides the result.
     """
+    import sys
+
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
@@ -53,7 +55,14 @@ def command(
         raise UsageError("the csv profile needs --columns MAP.toml; other profiles do not take it")
     airframe = _vehicle(open_workspace(workspace), vehicle)
     recording = read(profile, path, columns)
-    provenance = {"version": artefacts.version(), "source_id": artefacts.content_id(path.read_bytes())}
+    words = artefacts.without_options(sys.argv[1:], ("-o", "--output"), ("--json", "--force"))
+    provenance = {
+        "version": artefacts.version(),
+        "command": artefacts.public_command(words),
+        "source_id": artefacts.content_id(path.read_bytes()),
+    }
+    if columns is not None:
+        provenance["columns_id"] = artefacts.content_id(columns.read_bytes())
     topics = _write(recording, airframe, output, profile, provenance)
     flight = read_flight(output)
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
