@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 import numpy as np
 
 from trimtab.host.log.tracks import Flight, Mocap
@@ -29,6 +31,12 @@ def is_same_flight(first: Flight, second: Flight) -> bool:
     if any(first.metadata[key] != second.metadata[key] for key in _SESSION):
         return False
     return first.mocap is None or second.mocap is None or _agree(first.mocap, second.mocap)
+
+
+def log_parents(flights: Sequence[Flight], held_out: Sequence[Flight] = ()) -> dict[str, str]:
+    """Return the ids of the logs that a model came from, by role, for its provenance."""
+    used = {f"log {index}": flight.id for index, flight in enumerate(flights)}
+    return used | {f"held-out log {index}": flight.id for index, flight in enumerate(held_out)}
 
 
 def _agree(first: Mocap, second: Mocap) -> bool:

@@ -107,7 +107,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
     from trimtab.host.learn import learn
-    from trimtab.host.log import read_flight
+    from trimtab.host.log import log_parents, read_flight
     from trimtab.host.models.file import read_model, write_model
     from trimtab.host.workspace import open_workspace
 
@@ -117,7 +117,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
     base = None if options.model is None else read_model(options.model, vehicle_id=flights[0].vehicle.id)
-    parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
+    parents = log_parents(flights, held_out)
     if base is not None:
         parents["model"] = base.id
     forms = _forms(options, library, base)
