@@ -539,7 +539,7 @@ def test_bench_without_courses_is_refused(refused: Refused) -> None:
 
 def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
-    refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])
+    refused("demo", "-o", f"{ref}/demo", code=2, parts=["eight.ref is a file; choose another folder"])
     refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
     refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file; give a folder"])
     refused("demo", "-o", ".", code=2, parts=["is not empty; choose another folder or add --force"])
