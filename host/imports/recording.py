@@ -91,6 +91,8 @@ class Recording:
         Times, positions and, if logged, velocities and accelerations.
     mass_kg
         Mass that the vehicle's controller used.
+    epoch_us
+        Time 0 on the source's own clock; Unix time if the source has that. None if it has no clock.
     unknown
         Properties that the recording does not determine.
     cut
@@ -117,6 +119,7 @@ class Recording:
     v_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     a_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     mass_kg: float | None = None
+    epoch_us: int | None = None
     cut: tuple[Cut, ...] = ()
 
     def __post_init__(self) -> None:

@@ -45,6 +45,8 @@ def write(
     r = recording
     tracking_us, cut = consistent_span(r, airborne(r))
     origin = {"source_format": format, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    if r.epoch_us is not None:
+        origin["epoch_us"] = str(r.epoch_us)
     counts = write_imported(
         path,
         vehicle=_as_declared(vehicle, r),

@@ -15,13 +15,14 @@ if TYPE_CHECKING:
     from trimtab.host.imports.formats import FormatName
     from trimtab.host.imports.recording import Cut, Recording
     from trimtab.host.vehicle import Vehicle
+    from trimtab.host.workspace import Workspace
 
 
 def command(
     *words: Annotated[str, Parameter(name="[FORMAT] FILE", show_default=False)],
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     columns: Path | None = None,
-    vehicle: Annotated[str | None, Parameter(name=["-v", "--vehicle"])] = None,
+    vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
@@ -37,7 +38,7 @@ def command(
     columns
         TOML file that gives the meaning of each column. For csv.
     vehicle
-        Vehicle that flew: a name or a vehicle file. Needed with --output.
+        Vehicle that flew: its file, by name or path. It has no default, because it decides the result.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -52,10 +53,6 @@ def command(
         return
     if name == "csv" and columns is None:
         raise UsageError("the csv format needs --columns MAP.toml")
-    if vehicle is None:
-        raise UsageError(
-            "give the vehicle that flew with --vehicle: its mass, rotors and inertia decide what is traced"
-        )
     artefacts.check_log(output, force)
     answer = _convert(name, path, columns, output, vehicle, workspace)
     emit({"format": name, "recognised": recognised, **answer}, json)
@@ -110,18 +107,32 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
 
 
 def _convert(
-    name: FormatName, path: Path, columns: Path | None, output: Path, vehicle: str, workspace: Path | None
+    name: FormatName,
+    path: Path,
+    columns: Path | None,
+    output: Path,
+    vehicle: str | None,
+    workspace: Path | None,
 ) -> dict[str, Any]:
     """Write the flight log, print what it holds, and return that."""
+    import sys
+
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import say
     from trimtab.host.imports.formats import module, read
     from trimtab.host.log import read_flight
     from trimtab.host.workspace import open_workspace
 
-    airframe = open_workspace(workspace).vehicle(vehicle)
+    airframe = _vehicle(open_workspace(workspace), vehicle)
     recording = read(name, path, columns)
-    provenance = {"version": artefacts.version(), "source_id": artefacts.content_id_of(path)}
+    words = artefacts.without_options(sys.argv[1:], ("-o", "--output"), ("--json", "--force"))
+    provenance = {
+        "version": artefacts.version(),
+        "command": artefacts.public_command(words),
+        "source_id": artefacts.content_id_of(path),
+    }
+    if columns is not None:
+        provenance["columns_id"] = artefacts.content_id(columns.read_bytes())
     topics, cut = _write(recording, airframe, output, name, provenance)
     flight = read_flight(output)
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
@@ -165,6 +176,20 @@ def _shown(recording: Recording | None, vehicle: Vehicle | None = None) -> dict[
     for begin_s, end_s, reason in cut:
         say(f"cut from {begin_s:.2f} to {end_s:.2f} s: {reason}")
     return {"unknown": list(unknown), "invisible_effects": hidden, "cut": cut}
+
+
+def _vehicle(workspace: Workspace, name: str | None) -> Vehicle:
+    """Return the vehicle that flew. Raises UsageError without a name: a wrong one gives wrong physics."""
+    from trimtab.host.base.errors import UsageError
+    from trimtab.host.vehicle import list_vehicles
+
+    if name is None:
+        known = ", ".join(list_vehicles(workspace.root))
+        raise UsageError(
+            f"which vehicle flew? give --vehicle one of {known}, or the .toml file of another, "
+            "made from one of these with its own mass, rotors and motors"
+        )
+    return workspace.vehicle(name)
 
 
 def _write(

@@ -108,7 +108,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
     from trimtab.host.learn import learn
-    from trimtab.host.log import read_flight
+    from trimtab.host.log import log_parents, read_flight
     from trimtab.host.models.file import write_model
     from trimtab.host.workspace import open_workspace
 
@@ -121,7 +121,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     if options.model is not None:
         vehicle_id = flights[0].vehicle.id
         base = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle_id)
-    parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
+    parents = log_parents(flights, held_out)
     if base is not None:
         parents["model"] = base.id
     forms = _forms(options, library, base)

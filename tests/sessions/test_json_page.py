@@ -189,6 +189,8 @@ def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]])
 def test_learn_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     logs = (str(MADE / "a1.mcap"), "--hold-out", str(MADE / "b1.mcap"))
     check("learn", trimtab("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))
+    used, held_out = (read_flight(MADE / name).id for name in ("a1.mcap", "b1.mcap"))
+    assert read_model("x.model.toml").provenance["parents"] == {"log 0": used, "held-out log 0": held_out}
 
 
 def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], tmp_path: Path) -> None:

@@ -154,6 +154,7 @@ def read(path: Path | str) -> Recording:
         p_ref_ned=in_world(target),
         v_ref_ned=in_world(target_rate),
         mass_kg=_declared_mass(path),
+        epoch_us=log.epoch_us,
         unknown=UNKNOWN if motors is None else UNKNOWN_OF_MOTORS,
     )
 
@@ -199,6 +200,7 @@ class _Log:
         if not self._events:
             raise ImportFormatError(f"{name}: fewer than two records; nothing to import")
         self._start = min(float(event.times[0]) for event in self._events)
+        self.epoch_us = round(self._events[0].unit_us * self._start)
 
     def track(self, sources: Sequence[Source]) -> Track | None:
         """Return the quantity from the first source that an event type holds whole; None without any.

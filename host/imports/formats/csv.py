@@ -188,6 +188,7 @@ def read(path: Path | str, columns: Path | str) -> Recording:
         v_ref_ned=in_world(chosen.reference_velocity_m_s),
         a_ref_ned=in_world(chosen.reference_acceleration_m_s2),
         unknown=chosen.unknown,
+        epoch_us=round(_TIME_US[chosen.time_unit] * float(rows[chosen.time][0])),
     )
 
 

@@ -84,6 +84,7 @@ def read(path: Path | str) -> Recording:
         specific_force=None if force is None or imu is None else force.at(imu.t_us),
         battery_us=None if voltage is None else voltage.t_us,
         battery_v=None if voltage is None else voltage.values[:, 0],
+        epoch_us=log.start_us,
         unknown=UNKNOWN,
     )
 

@@ -81,4 +81,5 @@ def read(path: Path | str) -> Recording:
         battery_us=t_us,
         battery_v=rows[_BATTERY][keep],
         unknown=UNKNOWN,
+        epoch_us=round(1e6 * float(rows["t"][0])),
     )

@@ -154,6 +154,7 @@ def read(path: Path | str) -> Recording:
         battery_v=None if voltage is None else voltage.values[:, 0],
         reference_us=None if reference is None else reference.t_us,
         p_ref_ned=None if reference is None else to_ned(reference.values, streams["reference"].kind.world),
+        epoch_us=start_us,
         unknown=UNKNOWN,
     )
 

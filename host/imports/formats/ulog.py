@@ -108,6 +108,7 @@ def read(path: Path | str) -> Recording:
         battery_v=None if voltage is None else voltage.values[:, 0],
         reference_us=None if reference is None else reference.t_us,
         p_ref_ned=None if reference is None else reference.values,
+        epoch_us=log.start_us,
         unknown=UNKNOWN,
     )
 

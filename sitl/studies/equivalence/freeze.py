@@ -157,10 +157,8 @@ def freeze_real(setup: Setup, index: int) -> None:
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for log in (*logs, *held_out):
-            setup.run(
-                ["import", format, str(source / f"{log}{suffix}"), "--vehicle", "nano", "-o", f"{log}.mcap"],
-                folder,
-            )
+            words = ["import", format, str(source / f"{log}{suffix}"), "--vehicle", "nano"]
+            setup.run([*words, "-o", f"{log}.mcap"], folder)
         case = TraceCase(
             name=f"{index}-{logs[0]}",
             folder=folder,

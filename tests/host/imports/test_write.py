@@ -36,6 +36,7 @@ def test_recording_reads_back_as_a_flight(tmp_path: Path, recording: Recording, 
     assert flight.metadata["source_format"] == "nanobench"
     assert flight.metadata["source_file"] == "flight.csv"
     assert flight.metadata["source_id"] == "abc"
+    assert flight.metadata["epoch_us"] == str(recording.epoch_us)
     assert flight.metadata["unknown"].split() == list(recording.unknown)
     assert flight.mocap is not None
     np.testing.assert_array_equal(flight.mocap.p, recording.p_ned)

@@ -31,6 +31,7 @@ def written(folder: Path, text: str) -> Path:
     [
         ('[[group]]\nname = "x"\nlogs = []\n', "logs"),
         ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nformat = "csv"\n', "the format csv needs columns"),
+        ('[[group]]\nname = "x"\nlogs = ["a"]\nformat = "nanobench"\n', "a format needs the vehicle"),
         (
             '[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n',
             "two logs have the same name",

@@ -28,6 +28,7 @@ def test_usd_flight_is_told_in_ned_and_frd(
     path.write_bytes(foreign.usd_flight(made_up, version=version))
     found = read(path)
     np.testing.assert_array_equal(found.input_us, np.round(1e6 * made_up.t))
+    assert found.epoch_us == 4_321_000
     new = np.searchsorted(not_none(found.input_us), found.pose_us)
     np.testing.assert_allclose(found.p_ned, made_up.p[new], atol=0.6e-3)  # whole millimetres
     apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[new]

@@ -19,6 +19,7 @@ from trimtab.host.imports.formats.nanobench import COLUMNS, CORNERS, UNKNOWN, re
 def test_nanobench_flight_is_told_in_ned_and_frd(nanobench_file: Callable[..., Path], made_up: Any) -> None:
     found = read(nanobench_file())
     np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t))
+    assert found.epoch_us == 1_772_660_536_000_000  # the file's times are Unix times
     np.testing.assert_allclose(found.p_ned, made_up.p, atol=1e-9)
     apart = (Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn).magnitude()
     assert apart.max() < 1e-9
