@@ -97,6 +97,8 @@ class Recording:
         Properties that the recording does not determine.
     cut
         Parts that the reader left out.
+    skipped_rows
+        Number of rows that the reader left out, because a value was not finite.
     """
 
     source: str
@@ -121,6 +123,7 @@ class Recording:
     mass_kg: float | None = None
     epoch_us: int | None = None
     cut: tuple[Cut, ...] = ()
+    skipped_rows: int = 0
 
     def __post_init__(self) -> None:
         strange = sorted(set(self.unknown) - set(get_args(Unknown)))
@@ -136,7 +139,7 @@ class Recording:
         if command is not None and (command.min() < -_COMMAND_SLACK or command.max() > 1.0 + _COMMAND_SLACK):
             raise ImportFormatError(
                 f"{self.source}: motor commands from {command.min():.4g} to {command.max():.4g} of full; "
-                "give the value of a full command"
+                "give the values of zero and full command"
             )
         if command is not None and self.thrust_n is not None:
             raise ValueError("either motor commands or thrust, not both")

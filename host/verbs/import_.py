@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import asdict, replace
+from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -14,8 +14,19 @@ if TYPE_CHECKING:
     from trimtab.host.imports.contents import Contents
     from trimtab.host.imports.formats import FormatName
     from trimtab.host.imports.recording import Cut, Recording
+    from trimtab.host.log import Flight
     from trimtab.host.vehicle import Vehicle
     from trimtab.host.workspace import Workspace
+
+
+@dataclass(frozen=True, kw_only=True)
+class _Written:
+    """A log that was written: its flight, its messages by topic, what was cut, and what does not fit."""
+
+    flight: Flight
+    messages: dict[str, int]
+    cut: tuple[Cut, ...]
+    differing: list[str]
 
 
 def command(
@@ -23,6 +34,7 @@ def command(
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     columns: Path | None = None,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
+    scrub: bool = False,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
@@ -39,6 +51,8 @@ def command(
         TOML file that gives the meaning of each column. For csv.
     vehicle
         Vehicle that flew: its file, by name or path. It has no default, because it decides the result.
+    scrub
+        Leave out where, when and by whom it was flown: absolute positions, dates, file and vehicle names.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -54,7 +68,7 @@ def command(
     if name == "csv" and columns is None:
         raise UsageError("the csv format needs --columns MAP.toml")
     artefacts.check_log(output, force)
-    answer = _convert(name, path, columns, output, vehicle, workspace)
+    answer = _convert(name, path, columns, output, vehicle, workspace, scrub)
     emit({"format": name, "recognised": recognised, **answer}, json)
 
 
@@ -78,7 +92,7 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     """Print what the file holds, and return it."""
     from trimtab.host.base.output import say
     from trimtab.host.imports.airborne import airborne
-    from trimtab.host.imports.formats import module, read
+    from trimtab.host.imports.formats import LOGGING_PROFILES, module, read
     from trimtab.host.imports.plausible import consistent_span
     from trimtab.host.imports.recording import ImportFormatError
 
@@ -101,6 +115,9 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     if problem is not None:
         say(f"cannot be imported: {problem}")
     answer = {"topics": _topics(held), "log": None, "problem": problem, **_shown(recording)}
+    profile = LOGGING_PROFILES.get(name)
+    if profile is not None and (problem is not None or answer["invisible_effects"]):
+        say(f"to show more, log with {profile}")
     if problem is None:
         say("import it with --vehicle VEHICLE -o LOG.mcap")
     return answer
@@ -113,42 +130,53 @@ def _convert(
     output: Path,
     vehicle: str | None,
     workspace: Path | None,
+    scrub: bool,
 ) -> dict[str, Any]:
     """Write the flight log, print what it holds, and return that."""
-    import sys
-
     from trimtab.host.base import artefacts
-    from trimtab.host.base.output import say
+    from trimtab.host.base.output import say, warn
     from trimtab.host.imports.formats import module, read
-    from trimtab.host.log import read_flight
+    from trimtab.host.imports.scrub import SOURCE, scrubbed
     from trimtab.host.workspace import open_workspace
 
     airframe = _vehicle(open_workspace(workspace), vehicle)
     recording = read(name, path, columns)
-    words = artefacts.without_options(sys.argv[1:], ("-o", "--output"), ("--json", "--force"))
-    provenance = {
-        "version": artefacts.version(),
-        "command": artefacts.public_command(words),
-        "source_id": artefacts.content_id_of(path),
-    }
-    if columns is not None:
-        provenance["columns_id"] = artefacts.content_id(columns.read_bytes())
-    topics, cut = _write(recording, airframe, output, name, provenance)
-    flight = read_flight(output)
+    provenance = {"version": artefacts.version()}
+    if scrub:
+        recording, airframe = scrubbed(recording), airframe.replace(name=SOURCE)
+    else:
+        provenance |= _origin(path, columns)
+    written = _write(recording, airframe, output, name, provenance)
+    flight = written.flight
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
     say(
-        f"{output}: {flight.duration_s:.1f} s of {flight.vehicle.name}{mass}, {sum(topics.values())} messages"
+        f"{output}: {flight.duration_s:.1f} s of {flight.vehicle.name}{mass}, "
+        f"{sum(written.messages.values())} messages"
     )
+    for line in written.differing:
+        warn(line)
     return {
         "topics": _topics(module(name).contents(path)),
         "log": str(output),
         "problem": None,
         "vehicle": flight.vehicle.name,
         "duration_s": flight.duration_s,
-        "messages": topics,
+        "messages": written.messages,
         "mass_kg": flight.vehicle.mass_kg,
-        **_shown(replace(recording, cut=cut), airframe),
+        "differing": written.differing,
+        **_shown(replace(recording, cut=written.cut), airframe),
     }
+
+
+def _origin(path: Path, columns: Path | None) -> dict[str, str]:
+    """Return what tells where a log comes from: the command, and ids of the source and of the column map."""
+    import sys
+
+    from trimtab.host.base import artefacts
+
+    words = artefacts.without_options(sys.argv[1:], ("-o", "--output"), ("--json", "--force"))
+    origin = {"command": artefacts.public_command(words), "source_id": artefacts.content_id_of(path)}
+    return origin if columns is None else {**origin, "columns_id": artefacts.content_id(columns.read_bytes())}
 
 
 def _topics(held: Contents) -> list[dict[str, Any]]:
@@ -164,7 +192,8 @@ def _shown(recording: Recording | None, vehicle: Vehicle | None = None) -> dict[
 
     effects = load_effects()
     if recording is None:
-        return {"unknown": [], "invisible_effects": {name: "not imported" for name in effects}, "cut": []}
+        hidden = {name: "not imported" for name in effects}
+        return {"unknown": [], "invisible_effects": hidden, "skipped_rows": 0, "cut": []}
     lag_s = TYPICAL_LAG_S if vehicle is None else vehicle.motor_lag_s
     unknown = unknown_words(recording, lag_s)
     hidden = invisible_effects(effects, recording, lag_s)
@@ -172,10 +201,17 @@ def _shown(recording: Recording | None, vehicle: Vehicle | None = None) -> dict[
         say(f"unknown: {', '.join(unknown)}")
     for reason in dict.fromkeys(hidden.values()):
         say(f"invisible, {reason}: {', '.join(name for name, why in hidden.items() if why == reason)}")
+    if recording.skipped_rows:
+        say(f"skipped: {recording.skipped_rows} rows without finite numbers")
     cut = [[part.begin_us * 1e-6, part.end_us * 1e-6, part.reason] for part in recording.cut]
     for begin_s, end_s, reason in cut:
         say(f"cut from {begin_s:.2f} to {end_s:.2f} s: {reason}")
-    return {"unknown": list(unknown), "invisible_effects": hidden, "cut": cut}
+    return {
+        "unknown": list(unknown),
+        "invisible_effects": hidden,
+        "skipped_rows": recording.skipped_rows,
+        "cut": cut,
+    }
 
 
 def _vehicle(workspace: Workspace, name: str | None) -> Vehicle:
@@ -194,16 +230,19 @@ def _vehicle(workspace: Workspace, name: str | None) -> Vehicle:
 
 def _write(
     recording: Recording, vehicle: Vehicle, output: Path, name: FormatName, provenance: dict[str, str]
-) -> tuple[dict[str, int], tuple[Cut, ...]]:
-    """Write the complete log or nothing. Return the number of messages of each topic, and what was cut."""
+) -> _Written:
+    """Write the complete log or nothing. Raises ImportFormatError if the motors contradict the vehicle."""
+    from trimtab.host.imports.fitting import check_fit
     from trimtab.host.imports.write import write
-    from trimtab.host.log import partial_path
+    from trimtab.host.log import partial_path, read_flight
 
     growing = output.with_name(output.name + ".import")
     try:
-        written = write(recording, vehicle, growing, format=name, provenance=provenance)
+        messages, cut = write(recording, vehicle, growing, format=name, provenance=provenance)
+        flight = read_flight(growing)
+        differing = check_fit(flight, recording.source)
         growing.replace(output)
     finally:
         growing.unlink(missing_ok=True)
         partial_path(growing).unlink(missing_ok=True)
-    return written
+    return _Written(flight=flight, messages=messages, cut=cut, differing=differing)

@@ -18,6 +18,13 @@ FormatName = Literal["ulog", "dataflash", "rosbag", "betaflight", "crazyflie-usd
 FORMATS: tuple[FormatName, ...] = get_args(FormatName)
 """Names in the order in which they are tried on a file; csv takes any table, so it is last."""
 
+LOGGING_PROFILES: dict[FormatName, str] = {
+    "ulog": "docs/logging/px4.params",
+    "dataflash": "docs/logging/ardupilot.param",
+    "crazyflie-usd": "docs/logging/crazyflie-usd.txt",
+}
+"""Settings with which a vehicle logs what tracing needs, by format."""
+
 HEAD_BYTES = 4096
 
 

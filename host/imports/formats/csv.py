@@ -60,6 +60,8 @@ class ColumnMap(Strict):
     """Motor commands in the order of the vehicle file's rotors."""
     motor_command_full: Annotated[float, Field(gt=0.0)] = 1.0
     """Value of a full motor command."""
+    motor_command_zero: float = 0.0
+    """Value of no motor command, as 1000 for pulses of 1000 to 2000 us."""
     thrust_n: str | None = None
     """Commanded collective thrust."""
     torque_n_m: Three | None = None
@@ -108,6 +110,7 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         ("quaternion_order", "quaternion"),
         ("euler_unit", "euler"),
         ("motor_command_full", "motor_command"),
+        ("motor_command_zero", "motor_command"),
         ("gyro_unit", "gyro"),
         ("specific_force_unit", "specific_force"),
         ("reference_velocity_m_s", "reference_position_m"),
@@ -115,6 +118,9 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
     ):
         if unit in keys and owner not in keys:
             problems.append(f"{unit}: has no meaning without {owner}; add {owner} or remove {unit}")
+    zero, full = data.get("motor_command_zero", 0.0), data.get("motor_command_full", 1.0)
+    if all(isinstance(value, int | float) for value in (zero, full)) and not zero < full:
+        problems.append(f"motor_command_zero: {zero:g} is not below motor_command_full, {full:g}")
     for key, names in data.items():
         if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):
             problems.append(f"{key}: names a column twice; give a different column for each entry")
@@ -143,7 +149,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
         chosen.reference_velocity_m_s, chosen.reference_acceleration_m_s2,
         tuple(name for name in (chosen.thrust_n, chosen.battery_v) if name is not None),
     )  # fmt: skip
-    rows = table(path, [name for group in groups for name in group or ()])
+    held = table(path, [name for group in groups for name in group or ()])
+    rows = held.columns
     t_us = since_first_us(rows[chosen.time], _TIME_US[chosen.time_unit], path.name)
     keep = first_of_equal(t_us)
     t_us = t_us[keep]
@@ -166,7 +173,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
     position = stack(chosen.position_m)
     attitude, turn = _turn(chosen, stack, path.name)
     new = fresh(position, attitude)
-    motors = None if chosen.motor_command is None else stack(chosen.motor_command) / chosen.motor_command_full
+    zero, full = chosen.motor_command_zero, chosen.motor_command_full
+    motors = None if chosen.motor_command is None else (stack(chosen.motor_command) - zero) / (full - zero)
     return Recording(
         source=path.name,
         pose_us=t_us[new],
@@ -188,6 +196,7 @@ def read(path: Path | str, columns: Path | str) -> Recording:
         v_ref_ned=in_world(chosen.reference_velocity_m_s),
         a_ref_ned=in_world(chosen.reference_acceleration_m_s2),
         unknown=chosen.unknown,
+        skipped_rows=held.skipped,
         epoch_us=round(_TIME_US[chosen.time_unit] * float(rows[chosen.time][0])),
     )
 

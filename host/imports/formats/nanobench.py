@@ -53,7 +53,8 @@ def contents(path: Path) -> Contents:
 def read(path: Path | str) -> Recording:
     """Return the flight of a NanoBench CSV file. Raises ImportFormatError with file, column and line."""
     path = Path(path)
-    rows = table(path, COLUMNS)
+    held = table(path, COLUMNS)
+    rows = held.columns
     t_us = since_first_us(rows["t"], 1e6, path.name)
     keep = first_of_equal(t_us)
     t_us = t_us[keep]
@@ -81,5 +82,6 @@ def read(path: Path | str) -> Recording:
         battery_us=t_us,
         battery_v=rows[_BATTERY][keep],
         unknown=UNKNOWN,
+        skipped_rows=held.skipped,
         epoch_us=round(1e6 * float(rows["t"][0])),
     )

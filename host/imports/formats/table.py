@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
@@ -13,12 +14,24 @@ import numpy as np
 from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError
 
+SKIPPED_MAX = 0.05
+"""Greatest share of rows without finite numbers; with more, a column is wrong or has another rate."""
 
-def table(path: Path, needed: Sequence[str]) -> dict[str, Annotated[np.ndarray, "rows"]]:
-    """Return the needed columns of a CSV file by name. All values are finite.
 
-    Empty lines, spaces around names and a byte order mark are ignored. Raises ImportFormatError with the file
-    and every missing column, or with the first line and column that has no number below 1e30.
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """Columns by name, of the rows in which all are finite, and the number of other rows."""
+
+    columns: Mapping[str, Annotated[np.ndarray, "rows"]]
+    skipped: int
+
+
+def table(path: Path, needed: Sequence[str]) -> Table:
+    """Return the needed columns of a CSV file.
+
+    Empty lines, spaces around names and a byte order mark are ignored. Rows without a finite number below
+    1e30 in every needed column are skipped. Raises ImportFormatError with the file and every missing column,
+    or with the first such line and column if there are more than SKIPPED_MAX of them.
     """
     try:
         with path.open(newline="", encoding="utf-8-sig") as stream:
@@ -52,14 +65,14 @@ def table_contents(path: Path, time: str | None = None, unit_s: float = 1.0) -> 
     """
     names = header(path.read_bytes())
     rows = table(path, [time] if time is not None else names[:1])
-    times = next(iter(rows.values()))
+    times = next(iter(rows.columns.values()))
     duration_s = float(times[-1] - times[0]) * unit_s if time is not None else 0.0
     return Contents(
         topics=tuple(topic(name, len(times), duration_s) for name in names), duration_s=duration_s
     )
 
 
-def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.ndarray]:
+def _table(stream: object, name: str, needed: tuple[str, ...]) -> Table:
     reader = csv.reader(stream)  # type: ignore[arg-type]
     header = [cell.strip() for cell in next(reader, [])]
     missing = [column for column in needed if column not in header]
@@ -69,27 +82,28 @@ def _table(stream: object, name: str, needed: tuple[str, ...]) -> dict[str, np.n
     if twice:
         raise ImportFormatError(f"{name}: two columns are named {', '.join(twice)}; rename one")
     at = [header.index(column) for column in needed]
-    rows = []
+    rows: list[list[float]] = []
+    first, skipped = "", 0
     for cells in reader:
         if not cells:
             continue
-        try:
-            row = [float(cells[i]) for i in at]
-        except (ValueError, IndexError):
-            row = [math.nan]
-        if not all(abs(value) < READABLE for value in row):
-            column = next(c for c, i in zip(needed, at, strict=True) if not _is_number(cells, i))
-            raise ImportFormatError(
-                f"{name}: line {reader.line_num}: {column} is not a finite number; remove or correct it"
-            )
-        rows.append(row)
+        row = [_number(cells, i) for i in at]
+        wrong = [column for column, value in zip(needed, row, strict=True) if not abs(value) < READABLE]
+        if wrong:
+            skipped += 1
+            first = first or f"line {reader.line_num}: {wrong[0]} is not a finite number"
+        else:
+            rows.append(row)
+    if skipped > SKIPPED_MAX * (skipped + len(rows)):
+        raise ImportFormatError(f"{name}: {first}, and {skipped - 1} more rows; remove or correct them")
     if len(rows) < 2:
         raise ImportFormatError(f"{name}: fewer than two rows of numbers; nothing to import")
-    return dict(zip(needed, np.array(rows).T, strict=True))
+    return Table(columns=dict(zip(needed, np.array(rows).T, strict=True)), skipped=skipped)
 
 
-def _is_number(cells: list[str], index: int) -> bool:
+def _number(cells: list[str], index: int) -> float:
+    """Return a cell's number; NaN if it holds none."""
     try:
-        return abs(float(cells[index])) < READABLE
+        return float(cells[index])
     except (ValueError, IndexError):
-        return False
+        return math.nan

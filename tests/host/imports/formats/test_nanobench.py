@@ -55,13 +55,14 @@ def test_nanobench_without_columns_names_all_of_them(
 
 @pytest.mark.parametrize("word", ["nan", "", "off", "inf"])
 @pytest.mark.parametrize("column", ["t", "qx", "pwr_pm_vbat"])
-def test_nanobench_cell_without_a_number_is_named_by_line(
+def test_nanobench_row_without_a_number_is_skipped_and_counted(
     nanobench_file: Callable[..., Path], foreign: SimpleNamespace, made_up: Any, column: str, word: str
 ) -> None:
     cells = [f"{value:.9g}" for value in foreign.nanobench_columns(made_up)[column]]
     cells[40] = word
-    with pytest.raises(ImportFormatError, match=rf"line 42: {column} is not a finite number"):
-        read(nanobench_file(**{column: cells}))
+    found = read(nanobench_file(**{column: cells}))
+    assert found.skipped_rows == 1
+    assert len(not_none(found.imu_us)) == len(cells) - 1
 
 
 def test_nanobench_rows_of_equal_time_count_once(
