@@ -119,7 +119,8 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         if unit in keys and owner not in keys:
             problems.append(f"{unit}: has no meaning without {owner}; add {owner} or remove {unit}")
     zero, full = data.get("motor_command_zero", 0.0), data.get("motor_command_full", 1.0)
-    if all(isinstance(value, int | float) for value in (zero, full)) and not zero < full:
+    numbers = all(isinstance(value, int | float) for value in (zero, full))
+    if "motor_command_zero" in keys and numbers and not zero < full:
         problems.append(f"motor_command_zero: {zero:g} is not below motor_command_full, {full:g}")
     for key, names in data.items():
         if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):

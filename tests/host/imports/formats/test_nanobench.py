@@ -58,7 +58,7 @@ def test_nanobench_without_columns_names_all_of_them(
 def test_nanobench_row_without_a_number_is_skipped_and_counted(
     nanobench_file: Callable[..., Path], foreign: SimpleNamespace, made_up: Any, column: str, word: str
 ) -> None:
-    cells = [f"{value:.9g}" for value in foreign.nanobench_columns(made_up)[column]]
+    cells = [f"{value:.17g}" for value in foreign.nanobench_columns(made_up)[column]]
     cells[40] = word
     found = read(nanobench_file(**{column: cells}))
     assert found.skipped_rows == 1
