@@ -63,7 +63,16 @@ VERBS = (
         module="correct",
         help="Make a feed-forward that compensates a model's effects and network on board.",
     ),
-    Verb(name="import", module="import_", help="Convert a foreign flight log to a Trimtab log."),
+    Verb(
+        name="import",
+        module="import_",
+        help="Say what a foreign flight log holds, or convert it to a Trimtab log.",
+    ),
+    Verb(
+        name="vehicle",
+        module="vehicle",
+        help="Write a vehicle file from a few facts, or check one against a flight.",
+    ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
@@ -102,10 +111,12 @@ def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code. Print an error as one line on stderr.
 
     For a bug, the line names a file with the traceback. Without `argv`, the run is that of the process:
-    Ctrl-C is reported in one line even during slow imports, and is ignored once the run has ended.
+    Ctrl-C is reported in one line even during slow imports, and is ignored once the run has ended. With
+    `argv`, `sys.argv` holds it during the run, because artefacts record the command.
     """
-    is_process = argv is None
+    is_process, outside = argv is None, sys.argv
     words = list(sys.argv[1:] if argv is None else argv)
+    sys.argv = [*sys.argv[:1], *words]
     # For thousands of small matrices, threads are slower, and sums would depend on their number.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A plugin of another package must not change how files are checked, and the search for one costs time.
@@ -139,6 +150,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         summary = f"{type(error).__name__}: {error}".splitlines()[0]
         return _fail(words, f"a bug in trimtab: {summary}; please report it with {saved}", BUG)
     finally:
+        sys.argv = outside
         if is_process:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
 

@@ -25,10 +25,39 @@ class Workspace:
     root: Path
 
     def vehicle(self, name_or_path: str | Path) -> Vehicle:
-        """Return the vehicle of a name or path. Raises ConfigurationError."""
-        from trimtab.host.vehicle import load_vehicle
+        """Return the vehicle of a name or path. Raises ConfigurationError.
 
-        return load_vehicle(name_or_path, self.root)
+        The tolerances of a file that is not shipped must be of effects, shipped or of the workspace.
+        """
+        from trimtab.host.vehicle import list_vehicles, load_vehicle
+        from trimtab.host.vehicle.files import find_file, shown
+
+        path = find_file(name_or_path, "vehicles", self.root, what="vehicle")
+        vehicle = load_vehicle(path)
+        if list_vehicles().get(path.stem) != path:
+            self._check_tolerances(vehicle, shown(path))
+        return vehicle
+
+    def _check_tolerances(self, vehicle: Vehicle, source: str) -> None:
+        """Raise ConfigurationError for tolerances that no effect has. `source` names the vehicle's file."""
+        import difflib
+
+        from trimtab.host.effects import load_effects
+        from trimtab.host.vehicle import ConfigurationError
+
+        known: set[str] = set()
+        for root in (None, self.root):  # a faulty effect of the user's matters only if it may be the one
+            for name, effect in load_effects(root).items():
+                known |= {name, *(f"{name}.{key}" for key in effect.keys)}
+            unknown = [key for key in vehicle.tolerances if key not in known]
+            if not unknown:
+                return
+        problems = []
+        for key in unknown:
+            near = difflib.get_close_matches(key, sorted(known), n=1)
+            remedy = f"did you mean {near[0]}?" if near else "remove it or give its --workspace"
+            problems.append(f"{source}: tolerances.{key}: no effect has this parameter; {remedy}")
+        raise ConfigurationError(problems)
 
     def route(self, name_or_path: str | Path, vehicle: Vehicle | None = None) -> Route:
         """Return the route of a name (also `random:SEED`) or path; `vehicle` makes errors more complete.

@@ -47,10 +47,14 @@ def _generator(seed: int, key: tuple[int, ...]) -> np.random.Generator:
     return np.random.Generator(np.random.PCG64(np.random.SeedSequence(seed, spawn_key=key)))
 
 
-def session_uid(world_seed: int, flight: int) -> int:
+def session_uid(world_seed: int, flight: int, *, at_port: bool = False) -> int:
     """Return a 64-bit id of a session that looks random and is not 0.
+
+    at_port: whether the vehicle is served at a port, in real time. It then flies differently with the same
+    seed, so the session is another one.
 
     It does not reveal the seed directly, but a small seed can be found by trying.
     """
-    digest = hashlib.sha256(f"trimtab session uid, seed {world_seed}, flight {flight}".encode()).digest()
+    named = f"trimtab session uid, seed {world_seed}, flight {flight}{', at a port' if at_port else ''}"
+    digest = hashlib.sha256(named.encode()).digest()
     return int.from_bytes(digest[:8], "little") or 1

@@ -35,6 +35,8 @@ class Setting:
     plant: str | None
     plant_options: Mapping[str, Any]
     start: Place
+    at_port: bool = False
+    """Whether the vehicle is served at a port, in real time."""
 
     def place_after_reboot(self, pose: Sequence[float]) -> Place:
         """Return where a vehicle stands that is rebooted at `pose`.

@@ -8,13 +8,16 @@ from trimtab.sitl.draw import World
 from trimtab.sitl.seeds import session_uid
 
 
-def truth_record(world: World, flight: int, *, plant: str | None = None) -> dict[str, Any]:
+def truth_record(
+    world: World, flight: int, *, plant: str | None = None, at_port: bool = False
+) -> dict[str, Any]:
     """Return the truth as plain data: the session's uid, world and seed, effects and deviations.
 
     `plant` is the name of a foreign plant. Its physics is unknown, and the world's effects then do not act.
+    `at_port`: whether the vehicle was served at a port.
     """
     return {
-        "uid": f"{session_uid(world.seed, flight):016x}",
+        "uid": f"{session_uid(world.seed, flight, at_port=at_port):016x}",
         "world": world.name,
         "world_seed": world.seed,
         "flight": flight,

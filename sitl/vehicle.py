@@ -79,6 +79,7 @@ class SimulatedVehicle:
         radio: Mapping[str, Any] | None = None,
         memory: Path | None = None,
         key: SigningKey | None = None,
+        at_port: bool = False,
     ) -> Self:
         """Return a vehicle in a world, powered up for a flight.
 
@@ -102,6 +103,8 @@ class SimulatedVehicle:
             File of the non-volatile memory. Without it, the memory lasts as long as the object.
         key
             Key of message signing, installed before the first power-up.
+        at_port
+            Whether the vehicle will be served at a port. Its session then has another uid.
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
@@ -120,6 +123,7 @@ class SimulatedVehicle:
             plant=plant,
             plant_options=read_plant_options(plant_options),
             start=Place(start_ned, start_yaw),
+            at_port=at_port,
         )
         store = ReferenceStore() if memory is None else open_memory(memory, vehicle)
         if key is not None:
@@ -206,7 +210,8 @@ class SimulatedVehicle:
     def truth(self) -> dict[str, Any]:
         """Return the sealed truth: world, seed, drawn values, uid. For checks only."""
         plant = self._step_owner.name if isinstance(self._step_owner, ForeignPlant) else None
-        return truth_record(self._setting.world, self._flight, plant=plant)
+        setting = self._setting
+        return truth_record(setting.world, self._flight, plant=plant, at_port=setting.at_port)
 
     def true_position(self) -> tuple[float, float, float]:
         """Return the true position, NED. For checks only."""
@@ -258,7 +263,7 @@ class SimulatedVehicle:
             engine=function_engine(traced_law(), law.INPUTS, law.OUTPUTS),
             parameters=self._parameters,
             store=self.store,
-            uid=session_uid(seed, flight),
+            uid=session_uid(seed, flight, at_port=setting.at_port),
             vehicle_id=setting.vehicle.id_bytes,
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,

@@ -79,7 +79,12 @@ EDGES: dict[str, tuple[str, ...]] = {
     "pydantic": ("host", "sitl"),
     "pydantic_core": ("host.vehicle",),
     "pysindy": ("sitl.studies.scoring.baselines",),
-    "pymavlink": ("protocol.codec", "protocol.generate", "protocol.generated"),
+    "pymavlink": (
+        "host.imports.formats.dataflash",
+        "protocol.codec",
+        "protocol.generate",
+        "protocol.generated",
+    ),
     "rich": ("host.base.progress",),
     "rockit": ("host.apps.bench.rockit_ocp",),
     "scipy": ("host", "sitl"),

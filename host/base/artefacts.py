@@ -7,6 +7,7 @@ import errno
 import hashlib
 import json
 import os
+import shlex
 import subprocess
 import sys
 from collections.abc import Iterator, Mapping, Sequence
@@ -27,6 +28,17 @@ SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--tr
 def content_id(content: bytes) -> str:
     """Return the first 12 hex digits of the SHA-256 of an artefact's content (without its provenance)."""
     return hashlib.sha256(content).hexdigest()[:12]
+
+
+def content_id_of(path: Path) -> str:
+    """Return the content id of a file, or of a folder's files in the order of their names."""
+    digest = hashlib.sha256()
+    for part in sorted(path.rglob("*")) if path.is_dir() else [path]:
+        if part.is_file():
+            with part.open("rb") as stream:
+                while block := stream.read(1 << 20):
+                    digest.update(block)
+    return digest.hexdigest()[:12]
 
 
 def check_output(path: str | Path, force: bool = False) -> Path:
@@ -63,10 +75,10 @@ def check_log(path: str | Path, force: bool = False) -> Path:
 
 
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
-    """Check that files `names` can be written in the folder `path`, and return it. Does not make the folder.
+    """Check that files `names` can be written in the folder `path`, and return it.
 
-    Raises UsageError if its parent is missing or read-only, if it is a file, or if a name exists and `force`
-    is not set.
+    Makes no folder: the caller makes those that are missing. Raises UsageError if they cannot be made, if the
+    path or a folder above it is a file, or if a name exists and `force` is not set.
     """
     folder = Path(path)
     if folder.is_dir():
@@ -75,7 +87,10 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
     elif folder.exists():
         raise UsageError(f"{path}: is a file; give a folder")
     else:
-        _check_parent(folder)
+        above = next(parent for parent in folder.parents if parent.exists())
+        if not above.is_dir():
+            raise UsageError(f"{path}: {above} is a file; choose another folder")
+        _check_writable(path, above)
     return folder
 
 
@@ -83,7 +98,12 @@ def _check_parent(path: Path) -> None:
     """Raise UsageError if the folder of `path` does not exist or cannot be written to."""
     if not path.parent.is_dir():
         raise UsageError(f"{path}: its folder does not exist; make it or choose another name")
-    if not os.access(path.parent, os.W_OK | os.X_OK, effective_ids=True):
+    _check_writable(path, path.parent)
+
+
+def _check_writable(path: str | Path, folder: Path) -> None:
+    """Raise UsageError, which names `path`, if nothing can be made in `folder`."""
+    if not os.access(folder, os.W_OK | os.X_OK, effective_ids=True):
         raise UsageError(f"{path}: its folder cannot be written to; choose another one")
 
 
@@ -181,7 +201,7 @@ def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequ
 
 
 def public_command(argv: Sequence[str] | None = None) -> str:
-    """Return the command line without sealed options and absolute paths.
+    """Return the command line, quoted for a shell, without sealed options and absolute paths.
 
     World, plant, their options and seeds are left out; for `demo`, also its seed. Of a path, only the last
     part remains.
@@ -195,7 +215,7 @@ def public_command(argv: Sequence[str] | None = None) -> str:
             public.append(f"{option}={_without_folder(value)}")
         else:
             public.append(_without_folder(word))
-    return readable(" ".join(public))
+    return readable(shlex.join(public))
 
 
 def provenance(

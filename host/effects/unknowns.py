@@ -24,3 +24,9 @@ UNKNOWN = (
     POSE_LATENCY,
 )
 """All words, in the order in which messages list them."""
+
+UNKNOWN_WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
+"""What a log of only poses does not determine."""
+
+UNKNOWN_IF_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
+"""What commands do not determine if their sampling interval is longer than the motor lag."""

@@ -29,6 +29,8 @@ def airborne(recording: Recording) -> tuple[int, int]:
     height = -recording.p_ned[:, 2]
     floor = float(np.quantile(height, 0.01))
     powered = _powered(recording)
+    if powered is not None and not powered.any():
+        raise TooShort(f"{recording.source}: the motors never run; import a log of a flight")
     flying = np.ones(len(t_us), dtype=bool) if powered is None else powered
     if _grounded(recording, height, floor, powered):
         flying = flying & (height > floor + CLEAR_M)

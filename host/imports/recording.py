@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated, Literal, get_args
 
 import numpy as np
@@ -33,6 +34,16 @@ WORDS = {
     "a_ref_ned": "reference acceleration",
 }
 """Names of the parts of a recording in messages."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class Cut:
+    """A part of a foreign log, us since its first row, that was left out, and the reason."""
+
+    begin_us: int
+    end_us: int
+    reason: str
+
 
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
@@ -80,8 +91,14 @@ class Recording:
         Times, positions and, if logged, velocities and accelerations.
     mass_kg
         Mass that the vehicle's controller used.
+    epoch_us
+        Time 0 on the source's own clock; Unix time if the source has that. None if it has no clock.
     unknown
         Properties that the recording does not determine.
+    cut
+        Parts that the reader left out.
+    skipped_rows
+        Number of rows that the reader left out, because a value was not finite.
     """
 
     source: str
@@ -104,6 +121,9 @@ class Recording:
     v_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     a_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     mass_kg: float | None = None
+    epoch_us: int | None = None
+    cut: tuple[Cut, ...] = ()
+    skipped_rows: int = 0
 
     def __post_init__(self) -> None:
         strange = sorted(set(self.unknown) - set(get_args(Unknown)))
@@ -119,7 +139,7 @@ class Recording:
         if command is not None and (command.min() < -_COMMAND_SLACK or command.max() > 1.0 + _COMMAND_SLACK):
             raise ImportFormatError(
                 f"{self.source}: motor commands from {command.min():.4g} to {command.max():.4g} of full; "
-                "give the value of a full command"
+                "give the values of zero and full command"
             )
         if command is not None and self.thrust_n is not None:
             raise ValueError("either motor commands or thrust, not both")
@@ -157,6 +177,14 @@ _TRACKS = {
     "battery_us": ("battery_v",),
     "reference_us": ("p_ref_ned", "v_ref_ned", "a_ref_ned"),
 }
+
+
+def check_readable(path: Path) -> None:
+    """Raise ImportFormatError if the file cannot be opened."""
+    try:
+        path.open("rb").close()
+    except OSError as error:
+        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
 
 
 def since_first_us(

@@ -7,9 +7,9 @@ from pathlib import Path
 
 import numpy as np
 
-from trimtab.host.imports import plausible
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.recording import Corner, Recording
+from trimtab.host.imports.plausible import consistent_span
+from trimtab.host.imports.recording import Corner, Cut, Recording
 from trimtab.host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
 from trimtab.host.vehicle import ConfigurationError, Vehicle
 
@@ -33,20 +33,21 @@ def write(
     vehicle: Vehicle,
     path: Path,
     *,
-    profile: str,
+    format: str,
     provenance: Mapping[str, str] | None = None,
-) -> dict[str, int]:
-    """Write the log at `path`, and return its number of messages by topic.
+) -> tuple[dict[str, int], tuple[Cut, ...]]:
+    """Write the log at `path`; return its number of messages by topic, and what is not traced.
 
-    The tracking phase is the time in the air. The vehicle gets the mass that the recording declares.
-    `provenance` holds further entries for the log. Raises ImportFormatError if the recording is never
-    airborne or inconsistent, and ConfigurationError if the vehicle cannot be the recorded one.
+    The tracking phase is the longest consistent time in the air. The vehicle gets the mass that the recording
+    declares. `provenance` holds further entries for the log. Raises ImportFormatError if the recording is
+    never airborne or inconsistent, and ConfigurationError if the vehicle cannot be the recorded one.
     """
     r = recording
-    tracking_us = airborne(r)
-    plausible.check(r, tracking_us)
-    origin = {"profile": profile, "source_file": r.source, "unknown": " ".join(r.unknown)}
-    return write_imported(
+    tracking_us, cut = consistent_span(r, airborne(r))
+    origin = {"source_format": format, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    if r.epoch_us is not None:
+        origin["epoch_us"] = str(r.epoch_us)
+    counts = write_imported(
         path,
         vehicle=_as_declared(vehicle, r),
         mocap=Mocap(t_us=r.pose_us, t_arrival_us=r.pose_us, p=r.p_ned, q=r.q_ned_frd),
@@ -60,6 +61,7 @@ def write(
         tracking_us=tracking_us,
         session={**origin, **(provenance or {})},
     )
+    return counts, (*r.cut, *cut)
 
 
 def _as_declared(vehicle: Vehicle, r: Recording) -> Vehicle:

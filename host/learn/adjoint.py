@@ -33,7 +33,7 @@ Pushed = Callable[
 ]
 """(x0, theta, push) -> states: a roll-out of segments.
 
-push: an acceleration, NED, at the start, middle and end of each step.
+push: an acceleration, NED, at the start, middle and end of each part of a step.
 """
 
 
@@ -47,17 +47,17 @@ class Gradient:
     theta: Annotated[np.ndarray, "parameters"]
 
 
-def check_step(phi: Phi, step_s: float) -> None:
-    """Raise ValueError if an RK4 step of step_s is not stable."""
-    if phi.substeps(step_s) > 1:
-        raise ValueError(f"a step of {step_s} s is too long for this model: RK4 needs {phi.substeps(step_s)}")
+def check_split(segments: Segments, split: int) -> None:
+    """Raise ValueError if the segments were not cut for a model whose steps have `split` parts."""
+    if segments.split != split:
+        raise ValueError(f"segments in {segments.split} parts a step, but this model needs {split}")
 
 
 class Rollouts:
     """Roll-outs of a batch of segments and their gradient. `weight`: diagonal L of the loss.
 
     The loss of a segment is the mean over its steps of (x_r - x)' L (x_r - x) (paper eq. 3). The loss of the
-    batch is the sum over its segments.
+    batch is the sum over its segments. A step has as many parts as an RK4 step of phi needs to be stable.
     """
 
     def __init__(
@@ -70,14 +70,14 @@ class Rollouts:
         step_s: float,
         weight: Annotated[np.ndarray, "12"],
     ) -> None:
-        check_step(phi, step_s)
-        self.phi, self.layout, self.batch, self.step_s = phi, layout, batch, step_s
+        self.phi, self.layout, self.batch, self.split = phi, layout, batch, phi.substeps(step_s)
+        self.step_s = step_s / self.split
         self.weight = np.asarray(weight, dtype=float)
         step = step_function(phi, layout, batch)
         self._step, self._adjoint = Buffered(step), Buffered(_adjoint(step))
         for function in (self._step, self._adjoint):
             function.inputs["theta"][:] = np.asarray(theta)[:, None]
-            function.inputs["step_s"][:] = step_s
+            function.inputs["step_s"][:] = self.step_s
 
     def roll_out(
         self,
@@ -86,15 +86,16 @@ class Rollouts:
         xi: Annotated[np.ndarray, "weights"],
     ) -> Annotated[np.ndarray, "nodes segments size"]:
         """Return the states from the starts x0: equation 7."""
-        return self._rolled(segments, x0, xi)[:, : segments.count]
+        return self._rolled(segments, x0, xi)[:: self.split, : segments.count]
 
     def _rolled(self, segments: Segments, x0: np.ndarray, xi: np.ndarray) -> np.ndarray:
-        """Return the states of the whole batch, filled up with the first segment."""
+        """Return the states after all parts of steps of the batch, filled up with the first segment."""
+        check_split(segments, self.split)
         step = self._step
-        states = np.empty((segments.steps + 1, self.batch, self.phi.size))
+        states = np.empty((self.split * segments.steps + 1, self.batch, self.phi.size))
         states[0] = self._filled(x0)
         self._load(step, segments, xi)
-        for k in range(segments.steps):
+        for k in range(len(states) - 1):
             self._load_drive(step, segments, k)
             step.inputs["x"][:] = states[k].T
             step()
@@ -116,8 +117,9 @@ class Rollouts:
         self._load(adjoint, segments, xi)
         total, of_theta = np.zeros(len(xi)), np.zeros(len(self.phi.theta_names))
         costate = np.zeros((self.batch, self.phi.size))
-        for k in range(segments.steps, 0, -1):
-            costate[:, :MEASURED] += scale * used * (states[k, :, :MEASURED] - measured[k])
+        for k in range(len(states) - 1, 0, -1):
+            if k % self.split == 0:
+                costate[:, :MEASURED] += scale * used * (states[k, :, :MEASURED] - measured[k // self.split])
             self._load_drive(adjoint, segments, k - 1)
             adjoint.inputs["x"][:] = states[k - 1].T
             adjoint.inputs["costate"][:] = costate.T
@@ -125,7 +127,7 @@ class Rollouts:
             costate[:] = adjoint.outputs["of_x"].T
             total += adjoint.outputs["of_xi"][0]
             of_theta += adjoint.outputs["of_theta"].sum(1)
-        states = states[:, : segments.count]
+        states = states[:: self.split, : segments.count]
         return Gradient(
             loss=loss_of(segments, states, self.weight),
             xi=total,
@@ -135,6 +137,7 @@ class Rollouts:
 
     def pushed(self, segments: Segments) -> Pushed:
         """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
+        check_split(segments, self.split)
 
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             states = roll_out(
@@ -144,6 +147,7 @@ class Rollouts:
                 flight=segments.constants.T,
                 theta=theta.T,
                 step_s=self.step_s,
+                every=self.split,
                 push=push.transpose(1, 2, 0),
                 rows=self.phi.size,
             )

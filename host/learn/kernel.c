@@ -54,20 +54,22 @@ INLINE void pull_back(const double *xi, Stage *s, const V *drive, const V *fligh
 /* Steps whose stages are still in the cache when their products are added to the gradient. */
 #define STEPS_AT_ONCE 4
 
-/* After roll_out to `states` (steps + 1, SIZE): the loss is half of weight[i] (state[i] - measured[i])^2, summed over the
-   steps and measured (steps + 1, MEASURED) except its first row. costate: the loss's slope by the start. by_lane: room
+/* After roll_out to `states` (1 + steps / every, SIZE): the loss is half of weight[i] (state[i] - measured[i])^2, summed
+   over measured (1 + steps / every, MEASURED) except its first row. costate: the loss's slope by the start. by_lane: room
    for the gradient of each lane. */
-void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, long steps, double h, Stage *stages,
-             const V *states, const V *measured, const V *weight, V *costate, V *by_lane, double *gradient,
-             V *theta_back) {
+void adjoint(const double *xi, const V *drive, const V *flight, const V *theta, long steps, double h, long every,
+             Stage *stages, const V *states, const V *measured, const V *weight, V *costate, V *by_lane,
+             double *gradient, V *theta_back) {
     Costates costates[4 * STEPS_AT_ONCE];
     memset(by_lane, 0, sizeof(V) * WEIGHTS);
     memset(costate, 0, sizeof(V) * SIZE);
     memset(theta_back, 0, sizeof(V) * THETA);
     for (long k = steps; k-- > 0;) {
         V before[SIZE], later[SIZE], back[SIZE];
-        for (int i = 0; i < MEASURED; ++i)
-            costate[i] += weight[i] * (states[(k + 1) * SIZE + i] - measured[(k + 1) * MEASURED + i]);
+        long node = (k + 1) / every;
+        if ((k + 1) % every == 0)
+            for (int i = 0; i < MEASURED; ++i)
+                costate[i] += weight[i] * (states[node * SIZE + i] - measured[node * MEASURED + i]);
         memcpy(before, costate, sizeof before);
         for (int q = 3; q >= 0; --q) {
             for (int i = 0; i < SIZE; ++i) {

@@ -10,7 +10,7 @@ import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler, compiled
 from trimtab.host.codegen.simd import aligned, lanes_of, pointer, rows_of
-from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_step
+from trimtab.host.learn.adjoint import Gradient, Pushed, Rollouts, check_split
 from trimtab.host.learn.kernel import MEASURED, kernel
 from trimtab.host.models.network import Layout
 from trimtab.host.models.phi import Phi
@@ -51,14 +51,14 @@ class LaneRollouts:
         weight: Annotated[np.ndarray, "12"],
         compiler: Compiler,
     ) -> None:
-        check_step(phi, step_s)
-        self.phi, self.layout, self.step_s = phi, layout, step_s
+        self.phi, self.layout, self.split = phi, layout, phi.substeps(step_s)
+        self.step_s = step_s / self.split
         self.weight = np.asarray(weight, dtype=float)
         self._kernel = kernel(phi, layout, compiler)
         self._lanes = self._kernel.roll_out.lanes
         self._theta = aligned((max(1, len(theta)), self._lanes))
         self._theta[: len(theta)] = np.asarray(theta)[:, None]
-        self._roll = partial(self._kernel.roll_out, step_s=step_s, every=1)
+        self._roll = partial(self._kernel.roll_out, step_s=self.step_s, every=self.split)
         self._stages = aligned((0,))
 
     def roll_out(
@@ -77,6 +77,7 @@ class LaneRollouts:
 
     def pushed(self, segments: Segments) -> Pushed:
         """Return roll-outs of these segments, each with its theta and acceleration, without the network."""
+        check_split(segments, self.split)
         drive, flight = (lanes_of(rows, self._lanes) for rows in (segments.drive, segments.constants))
         groups, steps = len(drive), segments.steps
         states = aligned((groups, steps + 1, self.phi.size, self._lanes))
@@ -85,7 +86,15 @@ class LaneRollouts:
         def roll(x0: np.ndarray, theta: np.ndarray, push: np.ndarray) -> np.ndarray:
             start, thetas, pushes = (lanes_of(rows, self._lanes) for rows in (x0, theta, push))
             self._kernel.roll_out.groups(
-                xi, start, drive, flight, thetas, pushes, step_s=self.step_s, samples=states
+                xi,
+                start,
+                drive,
+                flight,
+                thetas,
+                pushes,
+                step_s=self.step_s,
+                every=self.split,
+                samples=states,
             )
             return rows_of(states, len(x0))
 
@@ -102,7 +111,8 @@ class LaneRollouts:
         lanes, weight = self._lanes, self.weight / segments.steps
         rows = (x0, segments.drive, segments.constants, segments.measured)
         start, drive, flight, measured = (lanes_of(part, lanes) for part in rows)
-        states, stages = self._states(segments), self._room(segments.steps)
+        steps = self.split * segments.steps
+        states, stages = self._states(segments), self._room(steps)
         weights = aligned((len(states), MEASURED, lanes))
         weights[:] = 2.0 * weight[:, None]
         weights[-1, :, segments.count - len(states) * lanes + lanes :] = 0.0  # lanes without a segment
@@ -112,8 +122,8 @@ class LaneRollouts:
         for g, x in enumerate(states):
             self._roll(xi, start[g], drive[g], None, flight[g], self._theta, None, stages=stages, samples=x)
             self._kernel.adjoint(
-                *map(pointer, (xi, drive[g], flight[g], self._theta)), ctypes.c_long(segments.steps),
-                ctypes.c_double(self.step_s),
+                *map(pointer, (xi, drive[g], flight[g], self._theta)), ctypes.c_long(steps),
+                ctypes.c_double(self.step_s), ctypes.c_long(self.split),
                 *map(pointer, (stages, x, measured[g], weights[g], costate[g], by_lane, of_xi, of_theta[g])),
             )  # fmt: skip
         # By segments, so that the sum does not depend on the number of lanes.
@@ -127,7 +137,8 @@ class LaneRollouts:
         )
 
     def _states(self, segments: Segments) -> np.ndarray:
-        """Return room for the states (groups, N + 1, size, lanes)."""
+        """Return room for the states (groups, N + 1, size, lanes). Raises ValueError as `check_split`."""
+        check_split(segments, self.split)
         groups = -(-segments.count // self._lanes)
         return aligned((groups, segments.steps + 1, self.phi.size, self._lanes))
 

@@ -119,8 +119,9 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     the network too (`trimtab.host.learn.candidates.best`).
 
     hold_out: flights for the test; None for those of every fourth reference, of three or more. base: a model
-    whose effects stay as they are; the residual that they leave is learned. effects: the library, by name.
-    forms: effects of the library that are learned beside the network, on the condensed loss only. as_asked:
+    whose effects and adjustments stay as they are; the residual that they leave is learned. effects: the
+    library, by name. forms: effects of the library that are learned beside the network, on the condensed loss
+    only; they replace adjustments of the base. as_asked:
     select everything that was asked for, even where less predicts better. jobs: threads of the condensed
     loss; as many as there are cores if None. The result does not depend on it.
 
@@ -129,6 +130,8 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     settings = settings or CondensedSettings()
     rng = np.random.default_rng(seed)
     library = effects or {}
+    if base is not None:
+        base = base.without_adjustments(forms)
     parts = model_parts(base, library)
     data = Split.of(flights, hold_out, float(mocap_latency_s(FLOAT, parts)), rng)
     grown = (*(effect for effect, _ in parts), *(library[name] for name in forms))

@@ -102,7 +102,7 @@ def linearised(
     sigma: scale of changes of the state.
     """
     thetas = np.repeat(theta[None], segments.count, axis=0)
-    states = engine.pushed(segments)(start, thetas, between(acceleration))
+    states = engine.pushed(segments)(start, thetas, between(acceleration, segments.split))
     by_state, by_first, by_second, by_theta = _step_slopes(
         engine, segments, states, acceleration, theta, free, sigma
     )
@@ -126,6 +126,7 @@ def _step_slopes(
     typical sizes.
     """
     count, steps, size = states.shape[0], states.shape[1] - 1, states.shape[2]
+    stages = 2 * segments.split
     rows = np.arange(count * steps)
     segment, step = rows // steps, rows % steps
     single = Segments(
@@ -133,7 +134,7 @@ def _step_slopes(
         x0=states[:, :-1].reshape(-1, size),
         measured=np.zeros((len(rows), 2, 12)),
         sigma=segments.sigma[segment],
-        drive=segments.drive[segment[:, None], 2 * step[:, None] + np.arange(3)],
+        drive=segments.drive[segment[:, None], stages * step[:, None] + np.arange(stages + 1)],
         constants=segments.constants[segment],
         flight=segments.flight[segment],
         vectors=segments.vectors,
@@ -148,7 +149,7 @@ def _step_slopes(
         results = []
         for sign in (1.0, -1.0):
             array[:, column] = centre + sign * reach
-            results.append(roll(start, thetas, between(ends))[:, 1])
+            results.append(roll(start, thetas, between(ends, segments.split))[:, 1])
         array[:, column] = centre
         return (results[0] - results[1]) / (2.0 * np.reshape(reach, (-1, 1)))
 
@@ -168,11 +169,14 @@ def _step_slopes(
     )
 
 
-def between(nodes: Annotated[np.ndarray, "... nodes 3"]) -> Annotated[np.ndarray, "... stages 3"]:
-    """Return the values at nodes with their means half way between."""
-    out = np.empty((*nodes.shape[:-2], 2 * nodes.shape[-2] - 1, nodes.shape[-1]))
-    out[..., 0::2, :] = nodes
-    out[..., 1::2, :] = 0.5 * (nodes[..., 1:, :] + nodes[..., :-1, :])
+def between(nodes: Annotated[np.ndarray, "... nodes 3"], split: int) -> Annotated[np.ndarray, "... stages 3"]:
+    """Return the values at nodes, and between them on straight lines at 2 * split - 1 equal distances."""
+    stages = 2 * split
+    out = np.empty((*nodes.shape[:-2], stages * (nodes.shape[-2] - 1) + 1, nodes.shape[-1]))
+    out[..., ::stages, :] = nodes
+    for k in range(1, stages):
+        share = k / stages
+        out[..., k::stages, :] = (1.0 - share) * nodes[..., :-1, :] + share * nodes[..., 1:, :]
     return out
 
 

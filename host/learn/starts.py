@@ -19,7 +19,7 @@ from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.segments import Segments
 
 _THRUST_SIGMA = 0.05
-"""N per rotor: error of the recorded command with the nominal lag."""
+"""N per rotor: error of the recorded command, with the nominal lag and where an effect delays it."""
 _INTEGRAL_SIGMA = 0.05
 """rad/s^2: the logged integral may hardly move; free, it would absorb torques."""
 _OBSERVER_SIGMA = (0.02, 0.02, 0.02, 2.0 * _THRUST_SIGMA)
@@ -84,7 +84,7 @@ def start_sigma(phi: Phi, segments: Segments) -> Annotated[np.ndarray, "segments
     """Return the standard deviation of each entry of the starts."""
     sigma = np.ones((segments.count, phi.size))
     sigma[:, 0:12] = segments.sigma
-    sigma[:, 12:16] = _THRUST_SIGMA
+    sigma[:, 12:16] = sigma[:, phi.commands] = _THRUST_SIGMA
     sigma[:, INTEGRAL] = _INTEGRAL_SIGMA
     if phi.observes:
         sigma[:, phi.observer] = _OBSERVER_SIGMA

@@ -2,7 +2,7 @@
 
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.flight import read_flight
-from trimtab.host.log.identity import is_same_flight
+from trimtab.host.log.identity import is_same_flight, log_parents
 from trimtab.host.log.imported import write_imported
 from trimtab.host.log.info import describe, to_lines
 from trimtab.host.log.provenance import Provenance
@@ -48,6 +48,7 @@ __all__ = [
     "describe",
     "failsafe_name",
     "is_same_flight",
+    "log_parents",
     "partial_path",
     "read_flight",
     "recover",

@@ -2,6 +2,8 @@
 
 Record types come from the mcap package. This module adds messages to chunks and their index, which happens
 hundreds of times a second in flight. The package's own writer takes three times as long.
+
+Callers give times in microseconds. The file holds nanoseconds.
 """
 
 from __future__ import annotations
@@ -33,6 +35,8 @@ from mcap.records import (
     SummaryOffset,
 )
 from mcap.well_known import MessageEncoding, SchemaEncoding
+
+from trimtab.host.log.file_time import NS_PER_US
 
 MAGIC = b"\x89MCAP0\r\n"
 CHUNK_BYTES = 64 * 1024
@@ -73,8 +77,8 @@ class McapFile:
         self._chunk = bytearray()
         self._index: defaultdict[int, list[int]] = defaultdict(list)  # times and offsets in turn, by channel
         self._counts: dict[int, int] = {}
-        self._first_us: int | None = None
-        self._last_us = 0
+        self._first_ns: int | None = None
+        self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor()
         self._put(MAGIC)
         self._put(_bytes(Header(profile="", library=library)))
@@ -127,15 +131,12 @@ class McapFile:
         self._counts[number] = 0
         return number
 
-    def add_message(
-        self, channel: int, log_time: int, publish_time: int, data: bytes, sequence: int = 0
-    ) -> None:
-        """Add a message to the current chunk. Write the chunk if it is full."""
-        chunk = self._chunk
-        self._index[channel] += (log_time, len(chunk))
-        chunk += _MESSAGE.pack(
-            Opcode.MESSAGE, _MESSAGE_HEAD_BYTES + len(data), channel, sequence, log_time, publish_time
-        )
+    def add_message(self, channel: int, log_us: int, publish_us: int, data: bytes, sequence: int = 0) -> None:
+        """Add a message to the current chunk. Write the chunk if it is full. Times: 0 to LAST_US."""
+        chunk, log_ns = self._chunk, NS_PER_US * log_us
+        self._index[channel] += (log_ns, len(chunk))
+        size, publish_ns = _MESSAGE_HEAD_BYTES + len(data), NS_PER_US * publish_us
+        chunk += _MESSAGE.pack(Opcode.MESSAGE, size, channel, sequence, log_ns, publish_ns)
         chunk += data
         if len(chunk) > CHUNK_BYTES:
             self._end_chunk()
@@ -164,8 +165,8 @@ class McapFile:
             attachment_count=len(written.attachments),
             metadata_count=len(written.metadata),
             chunk_count=len(written.chunks),
-            message_start_time=self._first_us or 0,
-            message_end_time=self._last_us,
+            message_start_time=self._first_ns or 0,
+            message_end_time=self._last_ns,
             channel_message_counts={number: count for number, count in self._counts.items() if count},
         )
         groups: list[tuple[int, list[McapRecord]]] = [
@@ -224,8 +225,8 @@ class McapFile:
             )
         )
         self._put(chunk + index)
-        self._first_us = first if self._first_us is None else min(first, self._first_us)
-        self._last_us = max(last, self._last_us)
+        self._first_ns = first if self._first_ns is None else min(first, self._first_ns)
+        self._last_ns = max(last, self._last_ns)
         self._chunk = bytearray()
         self._index.clear()
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 from trimtab.host.base.text import readable
+from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import blob_id
 
@@ -42,7 +43,7 @@ class Provenance:
         entries = {
             "format": FORMAT,
             "kind": self.kind,
-            "time_unit": "us from arm" if self.kind == "flight" else "us from start",
+            TIME_UNIT: NANOSECONDS,
             "vehicle_id": self.vehicle.id,
             "vehicle_name": self.vehicle.name,
         }

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.log.errors import LogError
+from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.mcap_file import McapFile
 from trimtab.host.log.provenance import PROVENANCE
@@ -90,7 +91,8 @@ def _write_atomic(records: Scan, target: Path) -> None:
 def _write(records: Scan, writer: McapFile) -> None:
     """Write the records and a description of the recovery to an MCAP file."""
     for name, entries in records.metadata.items():
-        writer.add_metadata(name, entries)
+        unit = {TIME_UNIT: NANOSECONDS} if name == PROVENANCE else {}
+        writer.add_metadata(name, {**entries, **unit})
     writer.add_metadata("recovery", {"damage": records.damage, "bytes": str(records.size)})
     for name, (media_type, data) in records.attachments.items():
         writer.add_attachment(name, media_type, data)
@@ -100,7 +102,10 @@ def _write(records: Scan, writer: McapFile) -> None:
     }
     channels = {
         number: writer.add_channel(
-            channel.topic, schemas.get(channel.schema_id, 0), channel.metadata, channel.message_encoding
+            channel.topic,
+            schemas.get(channel.schema_id, 0),
+            {key: value for key, value in channel.metadata.items() if key != TIME_UNIT},
+            channel.message_encoding,
         )
         for number, channel in records.channels.items()
     }

@@ -22,7 +22,9 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from trimtab.host.log.errors import LogError
+from trimtab.host.log.file_time import file_units_per_us
 from trimtab.host.log.mcap_file import MAGIC
+from trimtab.host.log.provenance import PROVENANCE
 from trimtab.host.log.writer import partial_path
 
 CHUNK_LIMIT_BYTES = 64 * 2**20
@@ -41,7 +43,7 @@ _MESSAGE = struct.Struct("<HIQQ")
 
 
 class Entry(NamedTuple):
-    """One message: channel, sequence number, both times in us from arm, protobuf bytes."""
+    """One message: channel, sequence number, both times in us from the start of the log, protobuf bytes."""
 
     channel_id: int
     sequence: int
@@ -180,6 +182,7 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
     data = _data_of(chunk)
     messages: list[Entry] = []
     channels, head = result.channels, _MESSAGE.size
+    per_us = file_units_per_us(result.metadata.get(PROVENANCE, {}))
     for opcode, start, end in _records(data):
         if opcode == Opcode.MESSAGE:
             if end - start < head:
@@ -187,7 +190,8 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
             channel_id, sequence, log_time, publish_time = _MESSAGE.unpack_from(data, start)
             if channel_id not in channels:
                 raise ValueError(f"a message of channel {channel_id}, which is not declared")
-            messages.append(Entry(channel_id, sequence, log_time, publish_time, data[start + head : end]))
+            body = data[start + head : end]
+            messages.append(Entry(channel_id, sequence, log_time // per_us, publish_time // per_us, body))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             # StreamReader reads these two from bytes framed like a file without the magic bytes.
             framed = data[start - _RECORD.size : end]

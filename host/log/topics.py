@@ -38,7 +38,7 @@ class Topic:
 
     def metadata(self) -> dict[str, str]:
         """Return the metadata of the channel in the file."""
-        entries = {"sampling": self.sampling, "rate": self.rate, "content": self.content, "time_unit": "us"}
+        entries = {"sampling": self.sampling, "rate": self.rate, "content": self.content}
         return entries | {"averaged": " ".join(self.averaged)} if self.averaged else entries
 
 

@@ -2,7 +2,7 @@
 
 Times are integer microseconds on the host's clock from arm: a log starts when the vehicle acknowledges
 arming. Messages that arrived or were measured before that are not logged, because the format has no negative
-times.
+times. The file holds them in nanoseconds.
 
 The file is written as `NAME.part` and renamed when it is closed. Every chunk is written as soon as it is
 full, so a killed writer loses at most the last chunk. `trimtab.host.log.recover` reads the others.
@@ -24,6 +24,7 @@ from mcap_protobuf.schema import build_file_descriptor_set
 from trimtab.host.base.text import readable
 from trimtab.host.log import topics
 from trimtab.host.log.errors import LogError
+from trimtab.host.log.file_time import LAST_US
 from trimtab.host.log.mcap_file import McapFile, Sink
 from trimtab.host.log.provenance import (
     FEEDFORWARD_FILE,
@@ -142,8 +143,8 @@ class LogWriter:
         return self._mcap.add_channel(topic.name, schema, topic.metadata())
 
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
-        """Write a message of any topic. If a time lies before arming, write nothing and return False."""
-        if log_us < 0 or publish_us < 0:
+        """Write a message of any topic. If the file cannot hold its times, write nothing and return False."""
+        if not (0 <= log_us <= LAST_US and 0 <= publish_us <= LAST_US):
             return False
         self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
         return True

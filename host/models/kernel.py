@@ -107,7 +107,7 @@ class RolloutKernel:
             pointer(samples),
         )  # fmt: skip
 
-    def groups(
+    def groups(  # noqa: PLR0913 (the data of one problem)
         self,
         xi: Annotated[np.ndarray, "weights"],
         x0: Annotated[np.ndarray, "groups size lanes"],
@@ -117,14 +117,15 @@ class RolloutKernel:
         push: Annotated[np.ndarray, "groups stages 3 lanes"],
         *,
         step_s: float,
+        every: int,
         samples: Annotated[np.ndarray, "groups nodes size lanes"],
     ) -> None:
-        """Roll out all groups of lanes into `samples`, the states after every step, in one call."""
+        """Roll out all groups of lanes into `samples`, the states after each `every` steps, in one call."""
         room = aligned((self.stage_bytes // 2,))
         self._groups(
             ctypes.c_long(len(x0)), pointer(xi), pointer(x0), pointer(drive), pointer(flight),
             ctypes.c_long(flight.shape[1]), pointer(theta), ctypes.c_long(theta.shape[1]), pointer(push),
-            ctypes.c_long(drive.shape[1] // 2), ctypes.c_double(step_s),
+            ctypes.c_long(drive.shape[1] // 2), ctypes.c_double(step_s), ctypes.c_long(every),
             pointer(room), pointer(samples),
         )  # fmt: skip
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Literal, get_args
@@ -150,6 +150,22 @@ class Model:
             after_m=after_m,
         )
         return replace(self, assessment=assessment)
+
+    def without_adjustments(self, names: Collection[str]) -> Model:
+        """Return this model without these adjustments and their covariance."""
+        adjustments = {name: values for name, values in self.adjustments.items() if name not in names}
+        covariance = self.covariance
+        if covariance is not None:
+            kept = [
+                i
+                for i, name in enumerate(covariance.names)
+                if name.partition(".")[0] in {*self.effects, *adjustments}
+            ]
+            covariance = Covariance(
+                names=tuple(covariance.names[i] for i in kept),
+                matrix=tuple(tuple(covariance.matrix[i][k] for k in kept) for i in kept),
+            )
+        return replace(self, adjustments=adjustments, covariance=covariance)
 
     @cached_property
     def id(self) -> str:

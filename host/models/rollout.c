@@ -60,13 +60,14 @@ void roll_out(const double *xi, const V *x0, const double *drive, long flights, 
 }
 
 /* Roll-outs of `groups` groups, one after the other, whose arrays follow each other; `constants`, `parameters`: rows
-   of flight and theta, which has no groups if parameters is 0. Samples are all states after every step. */
+   of flight and theta, which has no groups if parameters is 0. Samples are all states after each `every` steps. */
 void roll_out_groups(long groups, const double *xi, const V *x0, const double *drive, const V *flight, long constants,
-                     const V *theta, long parameters, const V *push, long steps, double h, Stage *stages, V *samples) {
+                     const V *theta, long parameters, const V *push, long steps, double h, long every, Stage *stages,
+                     V *samples) {
     for (long g = 0; g < groups; ++g)
         roll_out(xi, x0 + g * SIZE, drive + g * (2 * steps + 1) * ROWS * LANES, LANES, 0, flight + g * constants,
-                 theta + g * parameters, push + g * (2 * steps + 1) * GIVEN, steps, h, 1, 0, stages, SIZE, 1,
-                 samples + g * (steps + 1) * SIZE);
+                 theta + g * parameters, push + g * (2 * steps + 1) * GIVEN, steps, h, every, 0, stages, SIZE, 1,
+                 samples + g * (steps / every + 1) * SIZE);
 }
 
 long stage_bytes(void) { return sizeof(Stage); }

@@ -15,11 +15,11 @@ from trimtab.host.models.states import States
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Segments:
-    """Segments of equal length, in steps of `step_s`.
+    """Segments of equal length, in steps of `step_s`, which lead from node to node.
 
     x0: phi's measured state at the start. measured: state at the nodes, with its standard deviation `sigma`.
-    drive: at the start, middle and end of each step. flight: index of each segment's flight. vectors: index
-    at which each NED vector starts in x0.
+    drive: at the start, middle and end of each of the `split` parts of a step. flight: index of each
+    segment's flight. vectors: index at which each NED vector starts in x0.
     """
 
     step_s: float
@@ -40,6 +40,11 @@ class Segments:
     def steps(self) -> int:
         """Number of steps of a segment."""
         return self.measured.shape[1] - 1
+
+    @property
+    def split(self) -> int:
+        """Number of equal parts in which a step is integrated."""
+        return self.drive.shape[1] // (2 * self.steps)
 
     def take(self, indices: Annotated[np.ndarray, "chosen"] | Sequence[int]) -> Segments:
         """Return the segments of these indices, in their order."""
@@ -79,15 +84,16 @@ class Segments:
 def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
     """Return segments of `steps` steps, end to end over each tracking phase; phi has the drive `reference`.
 
-    All flights have the same step. Segments with missing poses, and the remainder of a flight, are left out.
-    Raises ValueError where no segment remains.
+    All flights have the same step, in as many parts as phi needs. Segments with missing poses, and the
+    remainder of a flight, are left out. Raises ValueError where no segment remains.
     """
     if len({states.step_s for states in flights}) > 1:
         raise ValueError("flights on grids of different steps")
+    split = phi.substeps(flights[0].step_s)
     rows: list[tuple[np.ndarray, ...]] = []
     for index, states in enumerate(flights):
         total = len(states.t_s) - 1
-        times = half_steps(states.t_s[0], total, states.step_s)
+        times = half_steps(states.t_s[0], split * total, states.step_s / split)
         voltage = np.interp(times, states.t_s, states.voltage_ratio)
         drive = reference_drive(
             states.reference, times, feedforward=states.feedforward, voltage_ratio=voltage
@@ -96,7 +102,7 @@ def cut(flights: Sequence[States], phi: Phi, *, steps: int) -> Segments:
             measured = states.x[k : k + steps + 1]
             if states.seen is not None and not states.seen[k : k + steps + 1].all():
                 continue
-            stages = drive[2 * k : 2 * (k + steps) + 1]
+            stages = drive[2 * split * k : 2 * split * (k + steps) + 1]
             start = states.initial(phi, k)
             rows.append((start, measured, states.sigma, stages, states.constants, np.array(index)))
     if not rows:

@@ -83,10 +83,11 @@ def _misplaced(route: Route, limits: Limits) -> Iterator[str]:
             continue
         reported.add((point, end))
         path = f"waypoints_m[{k}]"
+        whose = "the vehicle's geofence" if route.limits.geofence_m is None else "the route's own geofence"
         for axis, (value, (low, high)) in enumerate(zip(point, limits.geofence_m, strict=True)):
             if not low <= value <= high:
                 name = ("north", "east", "down")[axis]
-                yield f"{path}: {name} {value:g} m is outside the geofence [{low:g}, {high:g}], move it"
+                yield f"{path}: {name} {value:g} m is outside {whose} [{low:g}, {high:g}], move it"
         if end and -point[2] < HEIGHT_MIN_M:
             yield f"{path}: starts or ends {-point[2]:g} m up, move it to down <= -{HEIGHT_MIN_M:g}"
         elif point[2] > 0.0:

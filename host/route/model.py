@@ -13,7 +13,7 @@ from pydantic import Field, field_validator, model_validator
 from trimtab.host.route.gates import Gate
 from trimtab.host.route.shapes import Shape
 from trimtab.host.vehicle.canonical_toml import write_toml
-from trimtab.host.vehicle.model import Interval, Limits, Name, Positive, Positive3, Vector3
+from trimtab.host.vehicle.model import Geofence, Interval, Limits, Name, Positive, Positive3, Vector3
 from trimtab.host.vehicle.strict_toml import Strict
 
 LEG_MIN_M = 1e-3
@@ -89,7 +89,7 @@ class LimitsOverride(Strict):
     body_rate_max_rad_s: Positive3 | None = None
     jerk_max_m_s3: Positive | None = None
     thrust_headroom: Interval | None = None
-    geofence_m: tuple[Interval, Interval, Interval] | None = None
+    geofence_m: Geofence | None = None
 
     def applied_to(self, limits: Limits) -> Limits:
         """Return the vehicle's limits, replaced by those that are set here."""

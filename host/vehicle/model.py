@@ -24,7 +24,9 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 Positive3 = tuple[Positive, Positive, Positive]
 NonNegative3 = tuple[NonNegative, NonNegative, NonNegative]
 Vector3 = tuple[float, float, float]
-Name = Annotated[str, Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$")]
+NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$"
+"""What a vehicle's name matches."""
+Name = Annotated[str, Field(pattern=NAME_PATTERN)]
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
@@ -35,6 +37,21 @@ def _ordered(interval: tuple[float, float]) -> tuple[float, float]:
 
 
 Interval = Annotated[tuple[float, float], AfterValidator(_ordered)]
+
+
+def _above_floor(fence: tuple[Interval, Interval, Interval]) -> tuple[Interval, Interval, Interval]:
+    """Return the geofence itself. Raises ValueError if all of it lies below the floor."""
+    low, high = fence[2]
+    if low >= 0.0:
+        raise ValueError(
+            f"down from {low:g} to {high:g} m lies below the floor; up is negative, "
+            f"write [{-high:g}, {0.0 - low:g}] for {low:g} to {high:g} m up"
+        )
+    return fence
+
+
+Geofence = Annotated[tuple[Interval, Interval, Interval], AfterValidator(_above_floor)]
+"""[low, high] of north, east and down; up is negative down."""
 
 SPIN_SIGN = {"ccw": 1, "cw": -1}
 """Sign of a rotor's reaction torque about +z_frd."""
@@ -81,8 +98,7 @@ class Limits(Strict):
     jerk_max_m_s3: Positive
     thrust_headroom: Interval
     """Lowest and highest share of thrust_max_n that a plan may use of any rotor."""
-    geofence_m: tuple[Interval, Interval, Interval]
-    """[low, high] of north, east and down; up is negative down."""
+    geofence_m: Geofence
 
     @field_validator("thrust_headroom")
     @classmethod

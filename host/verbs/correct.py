@@ -3,14 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
-
-if TYPE_CHECKING:
-    from trimtab.host.models.model import Model
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder, accepted_model
 
 
 def command(
@@ -18,7 +15,7 @@ def command(
     *,
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
-    accept_undecided: Annotated[bool, Parameter(name="--accept-undecided", negative="")] = False,
+    accept_undecided: AcceptUndecided = False,
     workspace: WorkspaceFolder = None,
     json: Json = False,
     force: Force = False,
@@ -33,8 +30,6 @@ def command(
         Feed-forward to write. Default: NAME.ff, with the name of the model file.
     vehicle
         Vehicle file, by name or path. Default: the one that the model names.
-    accept_undecided
-        Also correct a model whose verdict is undecided.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import GateMissed, UsageError
@@ -42,18 +37,16 @@ def command(
     from trimtab.host.effects import load_effects
     from trimtab.host.models.correction import SUFFIX, check_name, correction, write_correction
     from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
-    from trimtab.host.models.file import read_model
     from trimtab.host.workspace import open_workspace
 
     space = open_workspace(workspace)
-    content = read_model(model)
+    content = accepted_model(model, accept_undecided)
     airframe = space.vehicle(content.vehicle_name if vehicle is None else vehicle)
     if airframe.id != content.vehicle_id:
         raise UsageError(
             f"{model}: is of vehicle {content.vehicle_name} ({content.vehicle_id}), not of {airframe.name} "
             f"({airframe.id}); give its vehicle file with --vehicle"
         )
-    _check_verdict(model, content, accept_undecided)
     target = check_name(output or Path(model.name.removesuffix(MODEL_SUFFIX) + SUFFIX), force)
     try:
         made = correction(content, airframe, load_effects(space.root))
@@ -92,21 +85,3 @@ def command(
         },
         json,
     )
-
-
-def _check_verdict(path: Path, model: Model, accept_undecided: bool) -> None:
-    """Raise UsageError for an undecided model that was not accepted; warn where no verdict is stated."""
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.base.output import warn
-
-    if model.assessment is None:
-        warn(f"{path}: states no verdict; nothing shows whether the data supports it")
-        return
-    if model.assessment.verdict == "undecided" and not accept_undecided:
-        shares = ", ".join(f"{name} {p:.2f}" for name, p in model.assessment.probabilities.items())
-        raise UsageError(
-            f"{path}: its verdict is undecided{f' ({shares})' if shares else ''}; fly "
-            "what trace proposes and trace again, or add --accept-undecided"
-        )
-    if model.assessment.verdict == "outside-library":
-        warn(f"{path}: a part of the residual has a cause outside the library, and stays uncorrected")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -11,12 +12,14 @@ from cyclopts import Parameter
 
 from trimtab.host.verbs.options import (
     DEFAULT_VEHICLE,
+    AcceptUndecided,
     Force,
     Json,
     KeyFile,
     Output,
     VehicleName,
     WorkspaceFolder,
+    accepted_model,
     key_option,
 )
 
@@ -30,8 +33,9 @@ if TYPE_CHECKING:
     from trimtab.host.vehicle import Vehicle
 
 CAMERA_DELAY_MS = 4.0
-_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--port", "--mocap", "--workspace", "--key")
+_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--key")
 _LEFT_OUT = ("--json", "--force", "--realtime")
+"""Options that do not change the flight, and the key, which leaves no trace in a log."""
 
 
 @Parameter(name="*")
@@ -59,6 +63,7 @@ class FlyOptions:
         Seed of the simulated world. The log does not contain it.
     flight
         Index of the flight. Flights with the same seeds and another index share the world, but not the noise.
+        Default: the first index whose log does not exist, or 0 with --output or --force.
     realtime
         Run the simulation at the speed of the wall clock.
     as_flashed
@@ -90,13 +95,14 @@ class FlyOptions:
     plant_options: str | None = None
     seed: int = 0
     world_seed: int = 0
-    flight: int = 0
+    flight: int | None = None
     realtime: Annotated[bool, Parameter(negative="")] = False
     as_flashed: Annotated[bool, Parameter(negative="")] = False
     parameter: Annotated[tuple[str, ...], Parameter(negative="")] = ()
     feedforward: Path | None = None
     controller: str | None = None
     model: Path | None = None
+    accept_undecided: AcceptUndecided = False
     then: Path | None = None
     at: float | None = None
     key: KeyFile = None
@@ -126,7 +132,8 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
     from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_port
 
     _check(options)
-    request = _request(reference, options)
+    flight = _flight_index(reference, options)
+    request = _request(reference, options, flight)
     try:  # outside the progress bar, which holds stdout while it is shown
         with Progress(f"flying {reference.name}") as bar:
 
@@ -138,7 +145,7 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
             if options.port is not None and options.mocap is not None:
                 result = fly_port(request, options.port, options.mocap, on_phase=on_phase)
             else:
-                result = _fly_simulated(request, options, on_phase)
+                result = _fly_simulated(request, options, flight, on_phase)
     except (FlightEnded, FlightInterrupted) as ended:
         with Interrupts():  # a key that is held down must not suppress the answer
             say(*ended.result.to_lines())
@@ -157,13 +164,29 @@ def _check(options: FlyOptions) -> None:
         raise UsageError("give --port and --mocap together: poses reach the vehicle only through this host")
     if options.port is not None and (simulates or options.world_seed):
         raise UsageError("--port flies the vehicle at the port; leave out world, plant and --realtime")
-    if min(options.seed, options.world_seed, options.flight) < 0:
+    if min(options.seed, options.world_seed, options.flight or 0) < 0:
         raise UsageError("a seed or flight index is negative; give 0 or more")
     if not 0.0 <= options.mocap_delay_ms <= 1000.0:
         raise UsageError(f"--mocap-delay-ms {options.mocap_delay_ms:g} is out of range; give 0 to 1000")
 
 
-def _request(reference: Path, options: FlyOptions) -> FlightRequest:
+def _flight_index(reference: Path, options: FlyOptions) -> int:
+    """Return the index of the flight: as given, or the first one that has no log, not even a part of one."""
+    from trimtab.host.log import partial_path
+
+    if options.flight is not None:
+        return options.flight
+    if options.output is not None or options.force:
+        return 0
+    logs = ((index, _default_log(reference, index)) for index in count())
+    return next(index for index, log in logs if not (log.exists() or partial_path(log).exists()))
+
+
+def _default_log(reference: Path, flight: int) -> Path:
+    return Path(f"{reference.stem}-{flight}.mcap")
+
+
+def _request(reference: Path, options: FlyOptions, flight: int) -> FlightRequest:
     """Read the files that the options name. Raises UsageError."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -184,7 +207,7 @@ def _request(reference: Path, options: FlyOptions) -> FlightRequest:
     at_us = None if at is None else round(1e6 * at)
     swap_us = 0 if following is None else swap_time_us(blob, following, at_us)
     by = _flown_by(options, vehicle)
-    log = options.output or Path(f"{reference.stem}-{options.flight}.mcap")
+    log = options.output or _default_log(reference, flight)
     return FlightRequest(
         vehicle=vehicle,
         reference=blob,
@@ -196,7 +219,7 @@ def _request(reference: Path, options: FlyOptions) -> FlightRequest:
         as_flashed=options.as_flashed,
         parameters={**by.parameters, **_parameters(options.parameter)},
         model_id=model_of(reference),
-        session={"seed": str(options.seed), "flight": str(options.flight), **_provenance()},
+        session={"seed": str(options.seed), "flight": str(flight), **_provenance(options, flight)},
         camera_delay_us=None if options.port is None else round(1000 * options.mocap_delay_ms),
         then=following,
         swap_us=swap_us,
@@ -225,16 +248,18 @@ def _flown_by(options: FlyOptions, vehicle: Vehicle) -> FlownBy:
         return FlownBy()
     from trimtab.host.effects import load_effects
     from trimtab.host.link.controllers import flown_by
-    from trimtab.host.models.file import read_model
     from trimtab.host.workspace import open_workspace
 
     workspace = open_workspace(options.workspace)
+    model = None
+    if options.model is not None:
+        model = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle.id)
     return flown_by(
         options.controller,
         workspace.controller(options.controller),
         vehicle,
         feedforward=options.feedforward is not None,
-        model=None if options.model is None else read_model(options.model, vehicle_id=vehicle.id),
+        model=model,
         effects=load_effects(workspace.root),
     )
 
@@ -263,7 +288,7 @@ def _parameters(assignments: tuple[str, ...]) -> dict[str, float]:
 
 
 def _fly_simulated(
-    request: FlightRequest, options: FlyOptions, on_phase: Callable[[str], None]
+    request: FlightRequest, options: FlyOptions, flight: int, on_phase: Callable[[str], None]
 ) -> FlightResult:
     """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log."""
     from contextlib import closing
@@ -276,7 +301,7 @@ def _fly_simulated(
         request.vehicle,
         world=options.world,
         world_seed=options.world_seed,
-        flight=options.flight,
+        flight=flight,
         plant=options.plant,
         plant_options=options.plant_options,
         start_ned=(first[0], first[1], 0.0),
@@ -308,13 +333,15 @@ def _write_truth(log: Path, truth: dict[str, object]) -> None:
     write_atomic(log.with_name(log.name + ".truth.json"), text, force=True)
 
 
-def _provenance() -> dict[str, str]:
-    """Return version, git state and command, without options that do not change the flight."""
+def _provenance(options: FlyOptions, flight: int) -> dict[str, str]:
+    """Return version, git state and command. The command names the index of the flight even by default."""
     import sys
 
     from trimtab.host.base import artefacts
 
     arguments = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
+    if options.flight is None:
+        arguments += ["--flight", str(flight)]
     provenance = {"version": artefacts.version(), "command": artefacts.public_command(arguments)}
     git = artefacts.git_state()
     return provenance | {"git": git} if git is not None else provenance

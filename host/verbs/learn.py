@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder, accepted_model
 
 if TYPE_CHECKING:
     from trimtab.host.effects import Effect
@@ -67,6 +67,7 @@ class LearnOptions:
     hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
     output: Annotated[Path, Parameter(name=["-o", "--output"])] = Path(DEFAULT_OUTPUT)
     model: Annotated[Path | None, Parameter(name="--model")] = None
+    accept_undecided: AcceptUndecided = False
     hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None
     network: Annotated[bool, Parameter(negative="--no-network")] = True
     frame: Literal["world", "body"] = "world"
@@ -107,8 +108,8 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
     from trimtab.host.learn import learn
-    from trimtab.host.log import read_flight
-    from trimtab.host.models.file import read_model, write_model
+    from trimtab.host.log import log_parents, read_flight
+    from trimtab.host.models.file import write_model
     from trimtab.host.workspace import open_workspace
 
     settings, rounds = _check(logs, options)
@@ -116,8 +117,11 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     library = load_effects(open_workspace(options.workspace).root)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
-    base = None if options.model is None else read_model(options.model, vehicle_id=flights[0].vehicle.id)
-    parents = {f"log {i}": flight.id for i, flight in enumerate(flights)}
+    base = None
+    if options.model is not None:
+        vehicle_id = flights[0].vehicle.id
+        base = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle_id)
+    parents = log_parents(flights, held_out)
     if base is not None:
         parents["model"] = base.id
     forms = _forms(options, library, base)
@@ -224,9 +228,12 @@ def _answer(
     learned: Learned, output: Path | None, named: Mapping[str, Mapping[str, float]], log_latency: bool
 ) -> dict[str, Any]:
     """Return the JSON object, without the time. `output` is None if nothing was written."""
+    assessment = learned.model.assessment
+    assert assessment is not None
     return {
         "model": None if output is None else str(output),
         "model_id": None if output is None else learned.model.id,
+        "verdict": None if output is None else assessment.verdict,
         "train": learned.train.to_json(),
         "test": None if learned.test is None else learned.test.to_json(),
         "improved": learned.improved,

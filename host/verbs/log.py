@@ -63,7 +63,7 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
     log
         Flight log to read.
     output
-        Folder for the tables. Default: LOG.csv.
+        Folder for the tables, made if missing. Default: LOG.csv.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import emit, say
@@ -71,7 +71,7 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
 
     folder = artefacts.check_folder(output or log.with_suffix(".csv"), TABLES, force)
     tables = csv_tables(log)
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     for name in TABLES:  # with --force, these may belong to another log
         (folder / name).unlink(missing_ok=True)
     for name, (rows, text) in tables.items():

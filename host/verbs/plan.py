@@ -54,9 +54,10 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
     model, effects, residual = None, None, ResidualModel()
     if options.model is not None:
         from trimtab.host.effects import load_effects
-        from trimtab.host.models.file import read_model
+        from trimtab.host.verbs.options import accepted_model
 
-        model, effects = read_model(options.model, vehicle_id=vehicle.id), load_effects(space.root)
+        model = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle.id)
+        effects = load_effects(space.root)
         try:
             residual = ResidualModel.of(model, effects)
         except ValueError as error:
@@ -111,9 +112,11 @@ def _plan(task: PlanTask, options: PlanOptions) -> None:
     say(*_lines(result, target, options.report))
     samples = from_reference(result.reference)
     bound = sensitivity(task.vehicle, task.residual, samples, result.reference.yaw_nodes())
+    assessment = None if task.model is None else task.model.assessment
     answer = {
         "reference": str(target),
         "id": result.reference.id,
+        "model_verdict": None if assessment is None else assessment.verdict,
         **figures(result),
         "sensitivity": None if bound is None else bound.to_json(),
         "report": options.report,

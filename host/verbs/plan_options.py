@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import (
+    DEFAULT_VEHICLE,
+    AcceptUndecided,
+    Force,
+    Json,
+    Output,
+    VehicleName,
+    WorkspaceFolder,
+)
 
 if TYPE_CHECKING:
     from trimtab.host.models.model import Model
@@ -62,6 +70,7 @@ class PlanOptions:
 
     vehicle: VehicleName = DEFAULT_VEHICLE
     model: Path | None = None
+    accept_undecided: AcceptUndecided = False
     kind: str | None = None
     nodes: int | None = None
     time_s: float | None = None

@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from trimtab.host.plan.pareto import Point
     from trimtab.host.verbs.plan_options import PlanOptions, PlanTask
 
-_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report", "--workspace")
+_LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report")
 _LEFT_OUT = ("--json", "--force")
 
 
@@ -116,7 +116,7 @@ class _Flights:
 
         assert point.plan is not None
         assert self._task.model is not None
-        self.folder.mkdir(exist_ok=True)
+        self.folder.mkdir(parents=True, exist_ok=True)
         name = point.label.replace("*", "-augmented").replace(" x ", "-x")
         reference = self.folder / f"{name}.ref"
         write_plan(point.plan, reference, provenance=self._task.provenance, force=self._force)

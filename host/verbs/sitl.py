@@ -92,6 +92,7 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
             plant_options=options.plant_options,
             start_ned=(*options.start, 0.0),
             memory=options.memory,
+            at_port=True,
         )
 
         def on_ready(address: str) -> None:

@@ -76,7 +76,7 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
     from trimtab.host.effects import load_effects
-    from trimtab.host.log import read_flight
+    from trimtab.host.log import log_parents, read_flight
     from trimtab.host.trace.answer import to_json
     from trimtab.host.trace.run import run
     from trimtab.host.trace.words import result_lines
@@ -102,7 +102,7 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
             load_effects(space.root),
             vehicle=vehicle,
             manoeuvres=lambda: manoeuvres(space, airframe),
-            provenance=artefacts.provenance(parents={f"log {i}": f.id for i, f in enumerate(flights)}),
+            provenance=artefacts.provenance(parents=log_parents(flights, held_out)),
             network=options.network,
             jobs=options.jobs,
             on_progress=lambda step: progress.advance(0.0, step),
@@ -136,7 +136,7 @@ def _write(
         network_path=None if network is None else str(folder / NETWORK_NAME),
     )
     report = page(result, flights, held_out, answer, pictures(result))
-    folder.mkdir(exist_ok=True)
+    folder.mkdir(parents=True, exist_ok=True)
     write_model(result.model, folder / MODEL_NAME, force=force)
     if network is not None:
         write_model(network, folder / NETWORK_NAME, force=force)

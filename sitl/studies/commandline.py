@@ -51,13 +51,9 @@ def run_apart(words: Sequence[str], folder: Path) -> Answer:
 
 def run_inside(words: Sequence[str]) -> Answer:
     """Run `trimtab WORDS --json` in this process, for runs shorter than the start of Python."""
-    out, errors, argv = io.StringIO(), io.StringIO(), sys.argv
-    sys.argv = [COMMAND, *words, "--json"]
-    try:
-        with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
-            code = _command()(sys.argv[1:])
-    finally:
-        sys.argv = argv
+    out, errors = io.StringIO(), io.StringIO()
+    with contextlib.redirect_stdout(out), contextlib.redirect_stderr(errors):
+        code = _command()([*words, "--json"])
     return Answer(code=code, data=_last(out.getvalue()), errors=errors.getvalue())
 
 

@@ -8,7 +8,7 @@ from __future__ import annotations
 import shutil
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
@@ -26,17 +26,19 @@ class Group(Strict):
     name: str
     logs: Annotated[tuple[str, ...], Field(min_length=1)]
     hold_out: tuple[str, ...] = ()
-    profile: Literal["nanobench", "crazyflie-usd", "csv"] | None = None
-    """Profile of `trimtab import` for the logs. Without one, they are Trimtab flight logs."""
+    format: str | None = None
+    """Format of `trimtab import` for the logs. Without one, they are Trimtab flight logs."""
     columns: str | None = None
-    """Column map of the profile csv."""
-    vehicle: str = "nano"
-    """Vehicle of imported flights: a name, or the path of a vehicle file."""
+    """Column map of the format csv."""
+    vehicle: str | None = None
+    """Vehicle of imported flights: a name, or the path of a vehicle file. Mandatory with a format."""
 
     @model_validator(mode="after")
     def _belongs_together(self) -> Group:
-        if (self.profile == "csv") != (self.columns is not None):
-            raise ValueError("the profile csv needs columns, and no other profile takes them")
+        if (self.format == "csv") != (self.columns is not None):
+            raise ValueError("the format csv needs columns, and no other format takes them")
+        if self.format is not None and self.vehicle is None:
+            raise ValueError("a format needs the vehicle that flew; add vehicle")
         stems = [Path(log).stem for log in (*self.logs, *self.hold_out)]
         if len(set(stems)) != len(stems):
             raise ValueError("two logs have the same name; rename one of them")
@@ -63,12 +65,13 @@ def read_groups(path: Path) -> list[Group]:
     for group in read_strict(text, str(path), RealFlights).group:
         logs, held_out = (tuple(str(folder / log) for log in some) for some in (group.logs, group.hold_out))
         columns = None if group.columns is None else str(folder / group.columns)
-        vehicle_file = folder / group.vehicle
         for file in (*logs, *held_out, *(() if columns is None else (columns,))):
             if not Path(file).is_file():
                 raise StudyError(f"{path}: {group.name}: {file} does not exist")
         paths = {"logs": logs, "hold_out": held_out, "columns": columns}
-        vehicle = str(vehicle_file) if vehicle_file.is_file() else group.vehicle
+        vehicle = group.vehicle
+        if vehicle is not None and (folder / vehicle).is_file():
+            vehicle = str(folder / vehicle)
         groups.append(group.model_copy(update={**paths, "vehicle": vehicle}))
     return groups
 
@@ -110,10 +113,11 @@ def _verdict(group: Group, folder: Path) -> dict[str, Any]:
 def _bring_in(group: Group, path: str, folder: Path) -> None:
     """Copy or import the log into `folder` as a Trimtab flight log."""
     target = f"{Path(path).stem}.mcap"
-    if group.profile is None:
+    if group.format is None:
         shutil.copyfile(path, folder / target)
         return
-    words = ["import", group.profile, path, "--vehicle", group.vehicle, "-o", target]
+    assert group.vehicle is not None  # a group with a format has one
+    words = ["import", group.format, path, "--vehicle", group.vehicle, "-o", target]
     if group.columns is not None:
         words += ["--columns", group.columns]
     done = run_apart(words, folder)

@@ -9,6 +9,8 @@ from pathlib import Path
 import pytest
 from pydantic import BaseModel
 
+from tests.docs.page_commands import PAGES as DOCS
+from tests.docs.page_commands import ROOT, page_of
 from trimtab.host.cli import VERBS, build_app
 from trimtab.host.control.settings import (
     AdaptationSettings,
@@ -33,8 +35,16 @@ from trimtab.host.route import (
 from trimtab.host.route.files import RouteFile
 from trimtab.host.vehicle import Battery, Gains, Limits, Rotor, Vehicle, load_vehicle
 
-ROOT = Path(__file__).parents[2]
-PAGES = sorted([ROOT / "README.md", ROOT / "CHANGELOG.md", *(ROOT / "docs").rglob("*.md")])
+PAGES = [*DOCS, ROOT / "CHANGELOG.md"]
+
+
+SUBCOMMANDS = (
+    ["log", "info"],
+    ["log", "recover"],
+    ["log", "export"],
+    ["vehicle", "new"],
+    ["vehicle", "check"],
+)
 
 
 @pytest.mark.parametrize(
@@ -68,13 +78,15 @@ def test_links_of_page_lead_somewhere(page: Path) -> None:
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda path: path.name)
 def test_commands_of_page_are_ones_that_the_command_line_takes(page: Path) -> None:
-    for line in re.findall(r"^    (?:\$ )?trimtab ([a-z].*)$", page.read_text(), flags=re.MULTILINE):
-        build_app().parse_args(line.split("  ")[0].split(), exit_on_error=False, print_error=False)
+    for command in page_of(page.read_text()).commands:
+        program, *words = command.text.split()
+        if program == "trimtab":
+            build_app().parse_args(words, exit_on_error=False, print_error=False)
 
 
 def test_options_of_every_page_exist(capsys: pytest.CaptureFixture[str]) -> None:
     verbs = [[verb.name] for verb in VERBS]
-    for words in ([], *verbs, ["log", "info"], ["log", "recover"], ["log", "export"]):
+    for words in ([], *verbs, *SUBCOMMANDS):
         build_app()([*words, "--help"])
     known = set(re.findall(r"--[a-z][a-z-]+", capsys.readouterr().out))
     for page in PAGES:

@@ -14,10 +14,9 @@ from trimtab.firmware_model.services.files import FILES
 from trimtab.firmware_model.services.ftp import IDLE_US, SESSIONS_MAX
 from trimtab.firmware_model.services.streams import STATION_US, STREAMS
 from trimtab.host.effects import load_effects
-from trimtab.host.imports import crazyflie_usd, nanobench
 from trimtab.host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
-from trimtab.host.imports.columns import ColumnMap, read_map
-from trimtab.host.imports.profiles import PROFILES
+from trimtab.host.imports.formats import FORMATS, crazyflie_usd, nanobench
+from trimtab.host.imports.formats.csv import ColumnMap, read_map
 from trimtab.host.imports.recording import Unknown
 from trimtab.host.imports.write import DECLARED_MASS_SIGMA
 from trimtab.host.link.client import TIMESYNC_FIRST_US, TIMESYNC_US
@@ -82,10 +81,10 @@ def test_failsafes_page_is_the_one_the_code_makes() -> None:
     assert text_of("failsafes.md") == failsafes.page(), "run `make docs`"
 
 
-def test_imports_page_names_every_profile_and_every_unknown() -> None:
+def test_imports_page_names_every_format_and_every_unknown() -> None:
     text = text_of("imports.md")
     named = re.findall(r"^\| `([a-z-]+)` \|", text.split("## What comes in")[0], flags=re.MULTILINE)
-    assert tuple(named) == PROFILES
+    assert tuple(named) == FORMATS
     rows = table(text, "What is declared unknown")
     assert [row[0].strip("`") for row in rows] == list(get_args(Unknown))
     for name, of_nanobench, of_usd, leaves in rows:

@@ -79,6 +79,7 @@ def test_min_snap_plan_imports_no_scipy_and_no_matplotlib(tmp_path: Path) -> Non
         ("learn", "[default: learned.model.toml]"),
         ("trace", "Without it, no file is written"),
         ("log recover", "Default: LOG.recovered.mcap"),
+        ("vehicle new", "Default: vehicles/NAME.toml in the workspace"),
         ("log export", "Default: LOG.csv"),
     ],
 )

@@ -14,7 +14,7 @@ from trimtab.host.cli import main
 from trimtab.host.effects import Context, load_effects
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
-from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle import ConfigurationError, list_vehicles, load_vehicle
 from trimtab.host.workspace import open_workspace
 
 DOCS = Path(__file__).parents[2] / "docs"
@@ -31,6 +31,39 @@ def test_workspace_finds_own_and_shipped_files(tmp_path: Path) -> None:
     assert workspace.vehicle("research").name == "research"
     assert workspace.route("random:2").name == "random-2"
     assert workspace.effect_files() == {"slow-leak": tmp_path / "effects" / "slow_leak.py"}
+
+
+def test_vehicle_with_a_misspelt_tolerance_is_refused_with_the_nearest_name(tmp_path: Path) -> None:
+    nano = load_vehicle("nano")
+    (tmp_path / "vehicles").mkdir()
+    file = tmp_path / "vehicles" / "mine.toml"
+    tolerances = {"mas.factor": 0.01, "winds": 0.1, "zz.q": 0.1, "motor-lag": 0.001}
+    file.write_text(nano.replace(tolerances=tolerances).to_toml())
+    with pytest.raises(ConfigurationError) as caught:
+        open_workspace(tmp_path).vehicle("mine")
+    assert caught.value.problems == (
+        f"{file}: tolerances.mas.factor: no effect has this parameter; did you mean mass.factor?",
+        f"{file}: tolerances.winds: no effect has this parameter; did you mean wind?",
+        f"{file}: tolerances.zz.q: no effect has this parameter; remove it or give its --workspace",
+    )
+
+
+def test_shipped_vehicles_have_tolerances_of_effects_only() -> None:
+    effects = load_effects()
+    known = {f"{name}.{key}" for name, effect in effects.items() for key in effect.keys} | set(effects)
+    for name in list_vehicles():
+        assert set(load_vehicle(name).tolerances) <= known
+
+
+def test_vehicle_may_state_the_tolerance_of_an_effect_of_its_workspace(workspace: Path) -> None:
+    file = workspace / "vehicles" / "mine.toml"
+    mine = load_vehicle(file)
+    (effect,) = set(load_effects(workspace)) - set(load_effects())
+    tolerances = {**mine.tolerances, effect: 0.1}
+    file.write_text(mine.replace(tolerances=tolerances).to_toml())
+    assert open_workspace(workspace).vehicle("mine").tolerances[effect] == 0.1
+    with pytest.raises(ConfigurationError, match=f"tolerances.{effect}: no effect"):
+        open_workspace(workspace / "routes").vehicle(file)
 
 
 def test_workspace_is_the_current_folder_unless_named(

@@ -19,7 +19,7 @@ from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.file import write_model
-from trimtab.host.models.model import Model
+from trimtab.host.models.model import Assessment, Model
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 
@@ -105,7 +105,12 @@ def trimtab(
 def drag_model(vehicle: Vehicle, tmp_path: Path) -> str:
     """A model of linear drag, written to drag.model.toml in the test's folder."""
     drag = {"linear-drag": {"dx": 0.4, "dy": 0.35, "dz": 0.2}}
-    model = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, effects=drag)
+    model = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects=drag,
+        assessment=Assessment(verdict="traced"),
+    )
     write_model(model, tmp_path / "drag.model.toml")
     return "drag.model.toml"
 

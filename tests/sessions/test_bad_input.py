@@ -31,7 +31,7 @@ from trimtab.host.base import output
 from trimtab.host.base.errors import EXIT_CODES
 from trimtab.host.log import LogError, read_flight, recover
 from trimtab.host.models.file import write_model
-from trimtab.host.models.model import Model
+from trimtab.host.models.model import Assessment, Model
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
@@ -55,6 +55,14 @@ time = "t"
 position_m = ["x", "y", "z"]
 quaternion = ["qw", "qx", "qy", "qz"]
 """
+
+
+def import_of(file: str) -> tuple[str, ...]:
+    """The words that import a CSV file of the nano."""
+    return ("import", "csv", file, "--columns", "map.toml", "--vehicle", "nano")
+
+
+IMPORT = import_of("hover.csv")
 
 
 def contents(folder: Path) -> dict[str, str]:
@@ -141,7 +149,7 @@ def foreign(tmp_path: Path, run: Callable[..., tuple[int, dict[str, Any], str]])
     def bring_in(more: str, *, name: str = "foreign.mcap", seconds: float = 8.0) -> str:
         hover_csv(tmp_path / "hover.csv", seconds=seconds)
         (tmp_path / "map.toml").write_text(MAP + more)
-        code, _, complaint = run("import", "csv", "hover.csv", "--columns", "map.toml", "-o", name, "--force")
+        code, _, complaint = run(*IMPORT, "-o", name, "--force")
         assert code == 0, complaint
         return name
 
@@ -163,7 +171,7 @@ REFERENCE = 'reference_position_m = ["rx", "ry", "rz"]\n'
         ("plan", "bad.toml"),
         ("fly", "eight.ref", "--world", "bad.toml"),
         ("fly", "eight.ref", "--vehicle", "bad.toml"),
-        ("import", "csv", "eight.ref", "--columns", "bad.toml", "-o", "x.mcap"),
+        ("import", "csv", "eight.ref", "--columns", "bad.toml", "--vehicle", "nano", "-o", "x.mcap"),
         ("plan", "figure-eight", "--model", "bad.toml"),
     ],
     ids=["vehicle", "route", "world", "vehicle of a flight", "columns", "model"],
@@ -315,7 +323,12 @@ def test_reference_and_model_of_another_vehicle_are_refused(
 def test_model_with_a_parameter_its_effect_lacks_is_refused(
     refused: Refused, vehicle: Vehicle, tmp_path: Path
 ) -> None:
-    wrong = Model(vehicle_id=vehicle.id, vehicle_name=vehicle.name, effects={"linear-drag": {"dq": 0.4}})
+    wrong = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        effects={"linear-drag": {"dq": 0.4}},
+        assessment=Assessment(verdict="traced"),
+    )
     write_model(wrong, tmp_path / "m.model.toml")
     parts = ["m.model.toml: linear-drag has no parameter dq; it has dx, dy, dz"]
     refused("plan", "figure-eight", "--model", "m.model.toml", code=2, parts=parts)
@@ -356,6 +369,17 @@ def test_log_held_out_and_used_is_refused(refused: Refused, log: str) -> None:
         refusal="log-given-twice",
     )
     refused("learn", log, log, code=2, parts=["the same flight as", "give it once"])
+
+
+def test_source_imported_twice_is_refused_as_the_same_flight(
+    refused: Refused, foreign: Callable[..., str], run: Callable[..., Any], tmp_path: Path
+) -> None:
+    one = foreign(THRUST)
+    (tmp_path / "hover.csv").rename(tmp_path / "renamed.csv")
+    (tmp_path / "map.toml").write_text(MAP + 'thrust_n = "m"\n')
+    assert run(*import_of("renamed.csv"), "-o", "again.mcap")[0] == 0
+    parts = ["again.mcap: the same flight as foreign.mcap; give it once"]
+    refused("trace", one, "--hold-out", "again.mcap", code=2, parts=parts, refusal="log-given-twice")
 
 
 def test_recovered_copy_of_a_log_is_refused_as_the_same_flight(
@@ -421,7 +445,7 @@ def test_output_that_exists_is_kept_unless_forced(
         ("fly", ref, "-o", "b.mcap"),
         ("learn", log, "-o", "c.model.toml"),
         ("trace", log, "-o", "out"),
-        ("import", "csv", "hover.csv", "--columns", "map.toml", "-o", "b.mcap"),
+        (*IMPORT, "-o", "b.mcap"),
         ("log", "recover", "cut.mcap", "-o", "b.mcap"),
         ("sitl", "--port", "pty", "--truth", "truth.json"),
     ):
@@ -434,7 +458,7 @@ def test_output_that_exists_is_kept_unless_forced(
 def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, tmp_path: Path) -> None:
     hover_csv(tmp_path / "hover.csv")
     (tmp_path / "map.toml").write_text(MAP)
-    for words in (("fly", ref), ("import", "csv", "hover.csv", "--columns", "map.toml")):
+    for words in (("fly", ref), IMPORT):
         refused(
             *words,
             "-o",
@@ -493,14 +517,25 @@ def test_import_of_poses_that_never_change_says_what_to_check(refused: Refused, 
     (tmp_path / "still.csv").write_text("\n".join(["t,x,y,z,qw,qx,qy,qz", *rows]))
     (tmp_path / "map.toml").write_text(MAP)
     parts = ["still.csv: fewer than two different poses", "check the columns of time, position and attitude"]
-    refused("import", "csv", "still.csv", "--columns", "map.toml", "-o", "x.mcap", code=5, parts=parts)
+    refused(*import_of("still.csv"), "-o", "x.mcap", code=5, parts=parts)
 
 
 def test_import_of_a_short_flight_is_too_little(refused: Refused, tmp_path: Path) -> None:
     hover_csv(tmp_path / "short.csv", seconds=1.5)
     (tmp_path / "map.toml").write_text(MAP)
     parts = ["short.csv: airborne for 1.5 s, but 2 s are needed"]
-    refused("import", "csv", "short.csv", "--columns", "map.toml", "-o", "x.mcap", code=2, parts=parts)
+    refused(*import_of("short.csv"), "-o", "x.mcap", code=2, parts=parts)
+
+
+def test_import_without_a_vehicle_says_what_to_give(refused: Refused, tmp_path: Path) -> None:
+    hover_csv(tmp_path / "hover.csv")
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "vehicles").mkdir()
+    (tmp_path / "vehicles" / "mine.toml").write_text(load_vehicle("nano").to_toml())
+    words = [word for word in IMPORT if word not in ("--vehicle", "nano")]
+    parts = ["which vehicle flew? give --vehicle one of mine, nano, research, or the .toml file"]
+    refused(*words, "-o", "x.mcap", code=2, parts=parts)
+    assert not (tmp_path / "x.mcap").exists()
 
 
 def test_bench_without_courses_is_refused(refused: Refused) -> None:
@@ -509,7 +544,7 @@ def test_bench_without_courses_is_refused(refused: Refused) -> None:
 
 def test_demo_refused_makes_no_folder(refused: Refused, ref: str) -> None:
     refused("demo", "--world", "atlantis", code=2, parts=["atlantis: no such world"])
-    refused("demo", "-o", "no/demo", code=2, parts=["no/demo: its folder does not exist"])
+    refused("demo", "-o", f"{ref}/demo", code=2, parts=["eight.ref is a file; choose another folder"])
     refused("demo", "--seed", "-1", code=2, parts=["--seed -1 is negative"])
     refused("demo", "-o", ref, code=2, parts=["eight.ref: is a file; give a folder"])
     refused("demo", "-o", ".", code=2, parts=["is not empty; choose another folder or add --force"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -13,6 +12,7 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.one_table import COLUMNS, one_table
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.info import describe, to_lines
 from trimtab.host.log.scan import scan
@@ -251,37 +251,6 @@ def test_fly_refuses_the_correction_of_another_vehicle(run: Run, tmp_path: Path)
     assert code == 2
     assert f"the feed-forward {other.id} was made for vehicle {other.vehicle_id}" in complaint
     assert complaint.count("\n") == 1
-
-
-POSE = (*(f"p_ned_m_{i}" for i in range(3)), *(f"q_ned_frd_{i}" for i in range(4)))
-CONTROL = (*(f"motor_mean_{i}" for i in range(4)), *(f"gyro_mean_rad_s_{i}" for i in range(3)))
-COLUMNS = f"""
-world = "ned"
-body = "frd"
-time = "t_us"
-time_unit = "us"
-position_m = {list(POSE[:3])}
-quaternion = {list(POSE[3:])}
-motor_command = {list(CONTROL[:4])}
-gyro = {list(CONTROL[4:])}
-"""
-POSE_US = 10_000
-"""Time between two poses, and of a mean in the control telemetry, which is stamped at its end."""
-
-
-def one_table(folder: Path, target: Path) -> None:
-    """Join the tables of a log to one at the times of the poses, as another vehicle's logger writes it."""
-    poses, control = (
-        {round(int(row["publish_time_us"]), -3): row for row in csv.DictReader((folder / name).open())}
-        for name in ("mocap-pose.csv", "fc-control.csv")
-    )
-    with target.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(["t_us", *POSE, *CONTROL])
-        for t_us, pose in sorted(poses.items()):
-            mean = control.get(t_us + POSE_US)
-            if mean is not None and mean["interval_us"] == str(POSE_US):
-                writer.writerow([t_us, *(pose[key] for key in POSE), *(mean[key] for key in CONTROL)])
 
 
 @pytest.mark.full  # three flights and a trace

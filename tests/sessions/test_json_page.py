@@ -170,6 +170,15 @@ def test_log_prints_what_the_page_says(
     check("log recover", trimtab("log", "recover", "cut.mcap"))
 
 
+def test_vehicle_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], log: str, tmp_path: Path
+) -> None:
+    (tmp_path / "quad.param").write_text("FRAME_CLASS,1\nFRAME_TYPE,1\n")
+    known = ("--mass-kg", "0.75", "--arm-m", "0.125", "--propeller", "5x4.3", "--parameters", "quad.param")
+    check("vehicle new", trimtab("vehicle", "new", "mine", *known))
+    check("vehicle check", trimtab("vehicle", "check", log), ("differing", "[]"))
+
+
 def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     found = trimtab("trace", str(MADE / "b1.mcap"), "-o", "out")
     assert found["effects"]
@@ -180,6 +189,8 @@ def test_trace_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]])
 def test_learn_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     logs = (str(MADE / "a1.mcap"), "--hold-out", str(MADE / "b1.mcap"))
     check("learn", trimtab("learn", *logs, "-o", "x.model.toml", "--epochs", "1", "--hidden", "2"))
+    used, held_out = (read_flight(MADE / name).id for name in ("a1.mcap", "b1.mcap"))
+    assert read_model("x.model.toml").provenance["parents"] == {"log 0": used, "held-out log 0": held_out}
 
 
 def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
@@ -189,7 +200,10 @@ def test_import_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]
         'world = "nwu"\nbody = "flu"\ntime = "t"\nposition_m = ["x", "y", "z"]\n'
         'quaternion = ["qw", "qx", "qy", "qz"]\nthrust_n = "T"\n'
     )
-    check("import", trimtab("import", "csv", "f.csv", "--columns", "m.toml", "-o", "f.mcap"))
+    check(
+        "import",
+        trimtab("import", "csv", "f.csv", "--columns", "m.toml", "--vehicle", "nano", "-o", "f.mcap"),
+    )
 
 
 def test_upload_prints_what_the_page_says(reference: Reference) -> None:

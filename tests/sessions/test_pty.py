@@ -20,6 +20,7 @@ from trimtab.host.link.upload import upload_port
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
+from trimtab.sitl.seeds import session_uid
 
 pytestmark = pytest.mark.realtime
 
@@ -78,7 +79,9 @@ def test_pty_flight_after_upload_tracks_and_logs(
     assert result.tracking_rmse_m < 0.15
     flight = read_flight(result.log)
     assert flight.tracking_whole
-    assert flight.metadata["session_uid"] == json.loads(truth.read_text())["uid"]
+    uid = flight.metadata["session_uid"]
+    assert uid == json.loads(truth.read_text())["uid"]
+    assert uid != f"{session_uid(2, 0):016x}"  # that of a flight in lock-step
 
 
 def test_pty_key_is_installed_by_cable_and_then_needed_over_the_radio(

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import signal
 from collections.abc import Callable
 from contextlib import AbstractContextManager
@@ -14,10 +15,11 @@ from typing import Any
 
 import pytest
 
+from tests.docs.page_commands import page_of
 from trimtab.host import cli
 from trimtab.host.base import output
 from trimtab.host.effects import load_effects
-from trimtab.host.log import read_flight
+from trimtab.host.log import is_same_flight, read_flight
 from trimtab.host.log.scan import scan
 from trimtab.host.plan import Settings
 from trimtab.protocol.blobs import Reference
@@ -80,6 +82,20 @@ def test_fly_again_does_not_overwrite_unless_forced(trimtab: Any, ref: str, tmp_
     assert code == 2
     assert "--force" in complaint
     assert log.read_bytes() == b"mine"
+
+
+def test_fly_again_is_the_next_flight(trimtab: Any, ref: str, tmp_path: Path) -> None:
+    (tmp_path / "eight-1.mcap.part").write_bytes(b"of a killed flight")
+    logs = [trimtab("fly", ref, "--json")[1]["log"] for _ in range(2)]
+    assert logs == ["eight-0.mcap", "eight-2.mcap"]
+    first, second = map(read_flight, logs)
+    assert not is_same_flight(first, second)
+    assert second.metadata["flight"] == "2"
+    assert second.metadata["command"] == "trimtab fly eight.ref --flight 2"
+    code, _, complaint = trimtab("fly", ref, "--flight", "2")
+    assert (code, "eight-2.mcap: exists" in complaint) == (2, True)
+    assert trimtab("fly", ref, "--force", "--json")[1]["log"] == "eight-0.mcap"
+    assert read_flight("eight-0.mcap").id == first.id
 
 
 def test_fly_forced_that_writes_no_log_leaves_the_truth_of_the_old_one(
@@ -270,6 +286,13 @@ def test_fly_that_ends_in_failsafe_answers_and_exits_with_1(
     assert trimtab("log", "info", "x.mcap", "--json")[1]["failsafe"] == "mocap-lost"
 
 
+def test_log_export_makes_its_folder(trimtab: Any, flown: Any, tmp_path: Path) -> None:
+    shutil.copy(flown[0].log, tmp_path / "a.mcap")
+    code, told, _ = trimtab("log", "export", "a.mcap", "-o", "tables/first", "--json")
+    assert (code, told["folder"]) == (0, "tables/first")
+    assert sorted(told["rows"]) == sorted(path.name for path in (tmp_path / "tables" / "first").iterdir())
+
+
 def test_log_export_forced_leaves_no_table_of_another_log(trimtab: Any, flown: Any, tmp_path: Path) -> None:
     (tmp_path / "a.mcap").write_bytes(flown[0].log.read_bytes())
     (tmp_path / "a.csv").mkdir()
@@ -354,7 +377,10 @@ def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_ye
     for line in flown[0].to_lines()[1:]:
         assert shape.sub("0", line) in shown
     logs = []
-    for reference, words in re.findall(r"^ +(?:\$ )?trimtab fly (\S+)\.ref (.*)$", page, flags=re.MULTILINE):
-        named = re.search(r"-o (\S+)", words)
-        logs.append(named[1] if named else f"{reference}-0.mcap")
-    assert len(logs) == len(set(logs)) == 3
+    printed = [command.text for command in page_of(page).commands if command.printed]
+    for reference, words in re.findall(
+        r"^trimtab fly (\S+)\.ref (.*)$", "\n".join(printed), flags=re.MULTILINE
+    ):
+        flight = re.search(r"--flight (\d+)", words)
+        logs.append(f"{reference}-{flight[1] if flight else 0}.mcap")
+    assert len(logs) == len(set(logs)) == 4

@@ -20,3 +20,10 @@ def test_truth_names_uid_world_seed_and_drawn_values() -> None:
     vehicle.power_cycle(4)
     assert vehicle.truth()["uid"] == f"{session_uid(12, 4):016x}"
     assert vehicle.truth()["effects"] == truth["effects"]
+
+
+def test_session_at_a_port_has_another_uid_than_the_one_in_lock_step() -> None:
+    research = load_vehicle("research")
+    served, lockstep = (SimulatedVehicle.create(research, world_seed=2, at_port=at) for at in (True, False))
+    assert served.truth() == {**lockstep.truth(), "uid": f"{session_uid(2, 0, at_port=True):016x}"}
+    assert served.truth()["uid"] != lockstep.truth()["uid"]

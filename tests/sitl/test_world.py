@@ -225,8 +225,9 @@ def test_generators_of_different_purposes_do_not_repeat_each_other() -> None:
 
 
 def test_session_uid_names_seed_and_flight_and_fits_64_bits() -> None:
-    uids = {session_uid(seed, flight) for seed in range(20) for flight in range(20)}
-    assert len(uids) == 400
+    flights = [(seed, flight) for seed in range(20) for flight in range(20)]
+    uids = {session_uid(*each, at_port=at_port) for each in flights for at_port in (False, True)}
+    assert len(uids) == 800
     assert all(0 < uid < 2**64 for uid in uids)
 
 

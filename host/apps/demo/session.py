@@ -26,7 +26,7 @@ from trimtab.host.apps.demo.steps import OnMessage, Steps
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
 from trimtab.host.effects import Effect
-from trimtab.host.log import Flight, read_flight
+from trimtab.host.log import Flight, log_parents, read_flight
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan
@@ -221,7 +221,7 @@ class _Demo:
                 self._effects,
                 vehicle=self._request.vehicle,
                 manoeuvres=self._manoeuvres,
-                provenance=self._files.provenance({f"log {i}": f.id for i, f in enumerate(used)}),
+                provenance=self._files.provenance(log_parents(used, held_out)),
                 on_progress=lambda step: bar.advance(0.0, step),
             )
             names = ", ".join(effect.name for effect in result.effects)

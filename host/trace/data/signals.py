@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.effects import Effect
 from trimtab.host.effects.effect import Signal
-from trimtab.host.effects.unknowns import INERTIA, MOTOR_LAG, THRUST, TORQUE
+from trimtab.host.effects.unknowns import TORQUE, UNKNOWN_IF_SLOW, UNKNOWN_WITHOUT_INPUTS
 from trimtab.host.log import Flight
 from trimtab.host.models.states import States, battery_of, flight_states
 from trimtab.host.trace.decision.findings import Code, LogsRefused
@@ -20,12 +20,6 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import no_tracking, too_few_poses, too_few_tracking_poses
 from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.allocation import allocation_inverse
-
-UNKNOWN_WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
-"""What a log of only poses does not determine."""
-
-UNKNOWN_IF_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
-"""What commands do not determine if their sampling interval is longer than the motor lag."""
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -148,16 +148,17 @@ def freeze_trace(setup: Setup, part: str, case: TraceCase) -> None:
 
 def freeze_real(setup: Setup, index: int) -> None:
     """Record the trace of one group of imported flights."""
-    profile, logs, held_out = REAL_GROUPS[index]
+    format, logs, held_out = REAL_GROUPS[index]
     assert setup.recordings is not None
     source, suffix = {
         "nanobench": (setup.recordings / "nanobench", ".csv"),
         "crazyflie-usd": (setup.recordings / "crazyswarm2_tools" / "logs", ""),
-    }[profile]
+    }[format]
     with tempfile.TemporaryDirectory() as name:
         folder = Path(name)
         for log in (*logs, *held_out):
-            setup.run(["import", profile, str(source / f"{log}{suffix}"), "-o", f"{log}.mcap"], folder)
+            words = ["import", format, str(source / f"{log}{suffix}"), "--vehicle", "nano"]
+            setup.run([*words, "-o", f"{log}.mcap"], folder)
         case = TraceCase(
             name=f"{index}-{logs[0]}",
             folder=folder,

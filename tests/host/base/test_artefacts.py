@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import hashlib
+import json
 import os
+import shlex
+import sys
 import tempfile
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager
@@ -11,6 +14,7 @@ from pathlib import Path
 
 import pytest
 
+from trimtab.host import cli
 from trimtab.host.base.artefacts import (
     check_folder,
     check_log,
@@ -135,6 +139,22 @@ def test_public_command_leaves_out_world_and_folders(words: str, said: str) -> N
     assert public_command(words.split()) == f"trimtab {said}"
 
 
+def test_public_command_is_quoted_for_a_shell() -> None:
+    words = ["fly", "my plan.ref", "--parameter", "A=1", "--vehicle=lab 3/mine.toml"]
+    said = public_command(words)
+    assert said == "trimtab fly 'my plan.ref' --parameter A=1 '--vehicle=lab 3/mine.toml'"
+    assert shlex.split(said) == ["trimtab", *words]
+
+
+def test_command_of_a_call_from_python_is_recorded(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr("sys.argv", ["script.py", "--its-own"])
+    assert cli.main(["plan", "hover", "-o", "hover.ref"]) == 0
+    assert sys.argv == ["script.py", "--its-own"]
+    record = json.loads((tmp_path / "hover.ref.json").read_text())
+    assert record["provenance"]["command"] == "trimtab plan hover -o hover.ref"
+
+
 @pytest.mark.parametrize(
     "words",
     ["-o x.mcap", "-ox.mcap", "-o=x.mcap", "--output x.mcap", "--output=x.mcap", "--json", "--as_flashed"],
@@ -178,5 +198,7 @@ def test_folder_is_checked_without_being_made(tmp_path: Path) -> None:
     check_folder(folder, ("a.html", "b.json"), force=True)
     with pytest.raises(UsageError, match="is a file"):
         check_folder(folder / "b.json", ("a.html",))
-    with pytest.raises(UsageError, match="folder does not exist"):
-        check_folder(tmp_path / "no" / "out", ("a.html",))
+    deep = tmp_path / "no" / "out"
+    assert check_folder(deep, ("a.html",)) == deep
+    with pytest.raises(UsageError, match=r"out/b\.json is a file; choose another folder"):
+        check_folder(folder / "b.json" / "deep" / "deeper", ("a.html",))

@@ -6,6 +6,7 @@ import json
 import math
 import os
 import random
+import shlex
 import shutil
 import subprocess
 import sys
@@ -15,6 +16,7 @@ from typing import Any
 
 import pytest
 
+from trimtab.host.base.artefacts import content_id
 from trimtab.host.base.text import ESCAPE, file_name, readable
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
@@ -112,11 +114,14 @@ def test_imported_log_with_an_umlaut_names_its_source(run: Run, tmp_path: Path) 
         rows.append(",".join(f"{value:.6f}" for value in [0.01 * k, *p, 1.0, 0.0, 0.0, 0.0, 0.6]))
     (tmp_path / "flüge.csv").write_text("\n".join(rows))
     (tmp_path / "spalten-ü.toml").write_text(COLUMNS)
-    words = ("import", "csv", "flüge.csv", "--columns", "spalten-ü.toml")
+    words = ("import", "csv", "flüge.csv", "--columns", "spalten-ü.toml", "--vehicle", "nano")
     code, answer, complaint = run(*words, "-o", "flüge.mcap")
     assert (code, answer["log"]) == (0, "flüge.mcap"), complaint
     code, answer, _ = run("log", "info", "flüge.mcap")
-    assert (code, answer["provenance"]["source_file"]) == (0, "flüge.csv")
+    provenance = answer["provenance"]
+    assert (code, provenance["source_file"]) == (0, "flüge.csv")
+    assert shlex.split(provenance["command"]) == ["trimtab", *words]
+    assert provenance["columns_id"] == content_id(COLUMNS.encode())
 
 
 def test_missing_file_with_an_umlaut_is_named_on_stderr(run: Run) -> None:

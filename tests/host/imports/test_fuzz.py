@@ -12,11 +12,18 @@ import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
 
-from trimtab.host.imports import ImportFormatError, crazyflie_usd, nanobench, profiles
+from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.plausible import check
+from trimtab.host.imports.formats import FormatName, crazyflie_usd, nanobench, usd_events
+from trimtab.host.imports.plausible import consistent_span
 from trimtab.host.vehicle import ConfigurationError
 
+USD_VARIABLES = tuple(
+    variable
+    for sources in (crazyflie_usd.POSITION[:1], crazyflie_usd.EULER[:1], crazyflie_usd.MOTORS[:1])
+    for source in (*sources, *crazyflie_usd.RATE[:1], *crazyflie_usd.VOLTAGE[:1])
+    for variable in source.variables
+)
 MORE = settings(max_examples=200, suppress_health_check=[HealthCheck.function_scoped_fixture])
 MAP = """
 world = "enu"
@@ -36,11 +43,11 @@ def _numpy_is_quiet() -> Iterator[None]:
         yield
 
 
-def refused_or_read(profile: str, path: Path, columns: Path | None = None) -> None:
+def refused_or_read(format: FormatName, path: Path, columns: Path | None = None) -> None:
     """Reads the file and looks at it as an import does."""
     try:
-        found = profiles.read(profile, path, columns)
-        check(found, airborne(found))
+        found = formats.read(format, path, columns)
+        consistent_span(found, airborne(found))
     except ImportFormatError as error:
         assert str(error)  # noqa: PT017 (either outcome is good)
 
@@ -61,7 +68,7 @@ def test_any_bytes_are_refused_or_read(tmp_path: Path, data: bytes) -> None:
 def test_any_usd_body_with_a_good_sum_is_refused_or_read(data: bytes, version: int, events: int) -> None:
     body = struct.pack("<BHH", 0xBC, version, events) + data
     try:
-        crazyflie_usd.decode(body + struct.pack("<I", zlib.crc32(body)), "log")
+        usd_events.decode(body + struct.pack("<I", zlib.crc32(body)), "log")
     except ImportFormatError as error:
         assert "\n" not in str(error)  # noqa: PT017
 
@@ -80,8 +87,8 @@ def _usd_log(version: int, names: list[str], letters: list[str], rows: list[byte
     version=st.sampled_from([1, 2]),
     letters=st.lists(
         st.sampled_from("bBhHiIqQefd"),
-        min_size=len(crazyflie_usd.VARIABLES),
-        max_size=len(crazyflie_usd.VARIABLES),
+        min_size=len(USD_VARIABLES),
+        max_size=len(USD_VARIABLES),
     ),
     rows=st.lists(st.binary(max_size=160), max_size=6),
 )
@@ -89,7 +96,7 @@ def test_usd_log_of_any_values_is_refused_or_read(
     tmp_path: Path, version: int, letters: list[str], rows: list[bytes]
 ) -> None:
     path = tmp_path / "log"
-    path.write_bytes(_usd_log(version, list(crazyflie_usd.VARIABLES), letters, rows))
+    path.write_bytes(_usd_log(version, list(USD_VARIABLES), letters, rows))
     refused_or_read("crazyflie-usd", path)
 
 
@@ -130,13 +137,13 @@ def test_any_column_map_is_refused_as_configuration(tmp_path: Path, text: str) -
     columns.write_bytes(text.encode("utf-8", "surrogatepass"))
     path.write_text("t\n1\n2\n")
     with pytest.raises(ConfigurationError):
-        profiles.read("csv", path, columns)
+        formats.read("csv", path, columns)
 
 
-@pytest.mark.parametrize(("profile", "columns"), [("csv", None), ("nanobench", Path("m")), ("other", None)])
-def test_profile_that_does_not_fit_its_arguments_is_the_callers_mistake(
-    profile: str, columns: Path | None
+@pytest.mark.parametrize(("format", "columns"), [("csv", None), ("nanobench", Path("m"))])
+def test_map_that_does_not_fit_the_format_is_the_callers_mistake(
+    format: FormatName, columns: Path | None
 ) -> None:
     with pytest.raises(ValueError) as caught:  # noqa: PT011
-        profiles.read(profile, Path("log"), columns)
+        formats.read(format, Path("log"), columns)
     assert not isinstance(caught.value, ImportFormatError)

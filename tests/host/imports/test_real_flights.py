@@ -14,7 +14,7 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.effects import load_effects
-from trimtab.host.imports.profiles import read
+from trimtab.host.imports.formats import FormatName, read
 from trimtab.host.imports.write import write
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.decision.findings import DOUBTS, Code
@@ -30,22 +30,22 @@ FILES += [("crazyflie-usd", f"crazyswarm2_tools/logs/log{number}") for number in
 
 
 @pytest.fixture
-def bring_in(tmp_path: Path, require: Callable[[str], None]) -> Callable[[str, str], Flight]:
+def bring_in(tmp_path: Path, require: Callable[[str], None]) -> Callable[[FormatName, str], Flight]:
     require("flights")
 
-    def bring(profile: str, name: str) -> Flight:
+    def bring(format: FormatName, name: str) -> Flight:
         path = tmp_path / f"{Path(name).stem}.mcap"
-        write(read(profile, FLIGHTS / name), load_vehicle("nano"), path, profile=profile)
+        write(read(format, FLIGHTS / name), load_vehicle("nano"), path, format=format)
         return read_flight(path)
 
     return bring
 
 
-@pytest.mark.parametrize(("profile", "name"), FILES)
+@pytest.mark.parametrize(("format", "name"), FILES)
 def test_real_flight_reads_back_upright_in_the_air_and_weighing_g(
-    bring_in: Callable[[str, str], Flight], profile: str, name: str
+    bring_in: Callable[[FormatName, str], Flight], format: FormatName, name: str
 ) -> None:
-    flight = bring_in(profile, name)
+    flight = bring_in(format, name)
     assert flight.mocap is not None
     assert flight.tracking is not None
     inputs, imu = flight.recorded_inputs, flight.recorded_imu
@@ -60,7 +60,7 @@ def test_real_flight_reads_back_upright_in_the_air_and_weighing_g(
     assert pose.p[inside, 2].max() < -0.15
     R = Rotation.from_quat(pose.q, scalar_first=True)
     assert R.as_matrix()[inside, 2, 2].min() > 0.5
-    if profile == "nanobench":
+    if format == "nanobench":
         assert inputs.level == "motor"
         assert inputs.motor is not None
         assert flight.battery is not None
@@ -92,9 +92,9 @@ def test_real_flight_reads_back_upright_in_the_air_and_weighing_g(
 
 
 def trace_of(
-    bring_in: Callable[[str, str], Flight], profile: str, used: Sequence[str], held_out: str
+    bring_in: Callable[[FormatName, str], Flight], format: FormatName, used: Sequence[str], held_out: str
 ) -> tuple[Trace, dict[str, Named]]:
-    found = run([bring_in(profile, name) for name in used], [bring_in(profile, held_out)], load_effects())
+    found = run([bring_in(format, name) for name in used], [bring_in(format, held_out)], load_effects())
     assert found.drive == "inputs"
     assert found.before_score is not None
     assert found.after_score is not None
@@ -103,7 +103,7 @@ def trace_of(
 
 
 def test_standard_motors_show_their_thrust_but_six_seconds_are_too_little_to_be_sure(
-    bring_in: Callable[[str, str], Flight],
+    bring_in: Callable[[FormatName, str], Flight],
 ) -> None:
     logs = "crazyswarm2_tools/logs/log"
     found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}153"], f"{logs}148")
@@ -117,7 +117,9 @@ def test_standard_motors_show_their_thrust_but_six_seconds_are_too_little_to_be_
 
 
 @pytest.mark.full
-def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str, str], Flight]) -> None:
+def test_stronger_motors_show_their_thrust_and_the_drag(
+    bring_in: Callable[[FormatName, str], Flight],
+) -> None:
     logs = "crazyswarm2_tools/logs/log"
     found, named = trace_of(bring_in, "crazyflie-usd", [f"{logs}08", f"{logs}12"], f"{logs}15")
     assert found.verdict == "traced"
@@ -131,7 +133,7 @@ def test_stronger_motors_show_their_thrust_and_the_drag(bring_in: Callable[[str,
 @pytest.mark.full
 @pytest.mark.parametrize(("used", "held_out"), [((1,), 0), ((0, 2), 1), ((0, 1), 2)])
 def test_nanobench_shows_drag_sag_and_lift_and_no_payload(
-    bring_in: Callable[[str, str], Flight], used: tuple[int, ...], held_out: int
+    bring_in: Callable[[FormatName, str], Flight], used: tuple[int, ...], held_out: int
 ) -> None:
     files = [f"nanobench/{name}" for name in NANOBENCH]
     found, named = trace_of(bring_in, "nanobench", [files[i] for i in used], files[held_out])

@@ -42,7 +42,7 @@ def test_everything_a_profile_may_leave_unknown_is_known_to_tracing() -> None:
         ({"battery_us": T_US[:1], "battery_v": np.ones(1)}, "fewer than two different battery voltages"),
         (
             {"input_us": T_US, "motor_command": np.full((5, 4), 47.0)},
-            "value of a full command",
+            "values of zero and full command",
         ),
         ({"input_us": T_US, "motor_command": np.full((5, 4), -0.2)}, "from -0.2 to -0.2 of full"),
         ({"p_ned": np.full((5, 3), 2e6)}, "position reaches 2e+06; is its unit right?"),

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.imports import ImportFormatError, Recording
-from trimtab.host.imports.nanobench import CORNERS, read
+from trimtab.host.imports.formats.nanobench import CORNERS, read
 from trimtab.host.imports.write import write
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import ConfigurationError, Vehicle, load_vehicle
@@ -29,13 +29,14 @@ def recording(nanobench_file: Callable[..., Path]) -> Recording:
 
 def test_recording_reads_back_as_a_flight(tmp_path: Path, recording: Recording, nano: Vehicle) -> None:
     path = tmp_path / "f.mcap"
-    counts = write(recording, nano, path, profile="nanobench", provenance={"source_id": "abc"})
+    counts, _ = write(recording, nano, path, format="nanobench", provenance={"source_id": "abc"})
     flight = read_flight(path)
     assert flight.kind == "imported"
     assert flight.vehicle == nano
-    assert flight.metadata["profile"] == "nanobench"
+    assert flight.metadata["source_format"] == "nanobench"
     assert flight.metadata["source_file"] == "flight.csv"
     assert flight.metadata["source_id"] == "abc"
+    assert flight.metadata["epoch_us"] == str(recording.epoch_us)
     assert flight.metadata["unknown"].split() == list(recording.unknown)
     assert flight.mocap is not None
     np.testing.assert_array_equal(flight.mocap.p, recording.p_ned)
@@ -59,13 +60,13 @@ def test_recording_reads_back_as_a_flight(tmp_path: Path, recording: Recording, 
 
 def test_same_recording_gives_the_same_bytes(tmp_path: Path, recording: Recording, nano: Vehicle) -> None:
     for name in ("a.mcap", "b.mcap"):
-        write(recording, nano, tmp_path / name, profile="nanobench")
+        write(recording, nano, tmp_path / name, format="nanobench")
     assert (tmp_path / "a.mcap").read_bytes() == (tmp_path / "b.mcap").read_bytes()
 
 
 def test_motors_are_matched_to_rotors_by_corner(tmp_path: Path, recording: Recording) -> None:
     research = load_vehicle("research")  # 1 front right, 2 rear left, 3 front left, 4 rear right
-    write(recording, research, tmp_path / "f.mcap", profile="nanobench")
+    write(recording, research, tmp_path / "f.mcap", format="nanobench")
     inputs = read_flight(tmp_path / "f.mcap").recorded_inputs
     assert inputs is not None
     assert inputs.motor is not None
@@ -88,18 +89,18 @@ def test_vehicle_without_a_rotor_at_each_corner_is_refused(
         )
     )
     with pytest.raises(ConfigurationError, match=r"its rotors are not at the corners.*--vehicle"):
-        write(recording, plus, tmp_path / "f.mcap", profile="nanobench")
+        write(recording, plus, tmp_path / "f.mcap", format="nanobench")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv"]
 
 
 def test_declared_mass_becomes_the_vehicles(tmp_path: Path, recording: Recording, nano: Vehicle) -> None:
-    write(replace(recording, mass_kg=0.0345), nano, tmp_path / "f.mcap", profile="nanobench")
+    write(replace(recording, mass_kg=0.0345), nano, tmp_path / "f.mcap", format="nanobench")
     flown = read_flight(tmp_path / "f.mcap").vehicle
     assert flown.mass_kg == 0.0345
     assert flown.tolerances["mass.factor"] == 0.005  # better known than the file's, and still not weighed
     assert flown.id != nano.id
     with pytest.raises(ConfigurationError, match=r"flight.csv declares 3 kg: nano: cannot hover"):
-        write(replace(recording, mass_kg=3.0), nano, tmp_path / "g.mcap", profile="nanobench")
+        write(replace(recording, mass_kg=3.0), nano, tmp_path / "g.mcap", format="nanobench")
 
 
 def test_thrust_without_torque_is_kept_at_its_level(
@@ -108,7 +109,7 @@ def test_thrust_without_torque_is_kept_at_its_level(
     assert recording.motor_command is not None
     thrust = 0.3 * recording.motor_command[:, 0]
     changed = replace(recording, motor_command=None, motor_corners=None, thrust_n=thrust)
-    write(changed, nano, tmp_path / "f.mcap", profile="csv")
+    write(changed, nano, tmp_path / "f.mcap", format="csv")
     inputs = read_flight(tmp_path / "f.mcap").recorded_inputs
     assert inputs is not None
     assert inputs.level == "thrust-torque"
@@ -125,7 +126,7 @@ def test_reference_alone_is_the_lowest_level(tmp_path: Path, recording: Recordin
         p_ref_ned=recording.p_ned,
         v_ref_ned=recording.gyro,
     )
-    write(changed, nano, tmp_path / "f.mcap", profile="csv")
+    write(changed, nano, tmp_path / "f.mcap", format="csv")
     inputs = read_flight(tmp_path / "f.mcap").recorded_inputs
     assert inputs is not None
     assert inputs.level == "reference"
@@ -135,7 +136,7 @@ def test_reference_alone_is_the_lowest_level(tmp_path: Path, recording: Recordin
 
 def test_recording_without_any_input_has_none(tmp_path: Path, recording: Recording, nano: Vehicle) -> None:
     changed = replace(recording, input_us=None, motor_command=None, motor_corners=None)
-    write(changed, nano, tmp_path / "f.mcap", profile="csv")
+    write(changed, nano, tmp_path / "f.mcap", format="csv")
     assert read_flight(tmp_path / "f.mcap").recorded_inputs is None
 
 
@@ -148,6 +149,6 @@ def test_recording_that_contradicts_itself_leaves_nothing(
             replace(recording, specific_force=-recording.specific_force),
             nano,
             tmp_path / "f.mcap",
-            profile="nanobench",
+            format="nanobench",
         )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv"]

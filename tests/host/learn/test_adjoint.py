@@ -25,6 +25,12 @@ PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
 WITH_EFFECTS = Phi(vehicle=load_vehicle("research"), effects=tuple(EFFECTS.values()), estimator=False)
 THETA = np.zeros(0)
 DRAG = np.array([0.3, 0.25, 0.1, 0.004])
+LATE = Phi(
+    vehicle=load_vehicle("research"),
+    effects=(load_effects()["linear-drag"], load_effects()["actuation-delay"]),
+    estimator=False,
+)
+LATE_THETA = np.array([0.3, 0.25, 0.1, 0.004])
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS, BATCH = 20, 4
 
@@ -86,11 +92,15 @@ def test_gradient_equals_finite_differences(rollouts, segments, xi):
     "layout",
     [pytest.param(LAYOUTS[0], marks=pytest.mark.full, id="world"), pytest.param(LAYOUTS[1], id="body")],
 )
-def test_both_engines_have_the_same_gradient(make_states, layout, require):
+@pytest.mark.parametrize(
+    ("phi", "theta"),
+    [pytest.param(WITH_EFFECTS, DRAG, id="whole-steps"), pytest.param(LATE, LATE_THETA, id="split-steps")],
+)
+def test_both_engines_have_the_same_gradient(make_states, layout, phi, theta, require):
     """To 1e-12, in weights, starts and effects, for more segments than lanes and for fewer."""
     require("compiler")
-    vm, c = (make(engine, WITH_EFFECTS, layout, DRAG) for engine in ("vm", "c"))
-    segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5, 7, 1])
+    vm, c = (make(engine, phi, layout, theta) for engine in ("vm", "c"))
+    segments = cut([make_states(1)], phi, steps=STEPS).take([2, 5, 7, 1])
     xi = weights(layout)
     one, other = (engine.gradient(segments, segments.x0, xi) for engine in (vm, c))
     assert one.loss == pytest.approx(other.loss, rel=1e-12)
@@ -190,9 +200,44 @@ def test_roll_out_equals_that_over_lanes(rollouts, segments):
     np.testing.assert_allclose(states[:, :, :12].transpose(0, 2, 1), lanes, rtol=1e-10, atol=1e-12)
 
 
-def test_rollouts_too_long_a_step_or_too_many_segments_are_refused(segments, xi):
-    with pytest.raises(ValueError, match="too long for this model"):
-        Rollouts(PHI, LAYOUT, THETA, batch=2, step_s=0.2, weight=WEIGHT)
+@pytest.mark.parametrize("engine", ["vm", "c"])
+def test_delayed_commands_split_steps_and_the_gradient_equals_finite_differences(
+    engine, make_states, require
+):
+    if engine == "c":
+        require("compiler")
+    segments = cut([make_states(1)], LATE, steps=STEPS).take([2, 5, 7])
+    assert segments.split == LATE.substeps(0.02) == 4
+    assert (segments.steps, segments.drive.shape[1]) == (STEPS, 8 * STEPS + 1)
+    rollouts, xi = make(engine, LATE, theta=LATE_THETA), weights(LAYOUT)
+    found = rollouts.gradient(segments, segments.x0, xi)
+    along = np.random.default_rng(3).standard_normal(LAYOUT.size)
+
+    def slope(h):
+        ahead, behind = (
+            loss_of(segments, rollouts.roll_out(segments, segments.x0, xi + sign * h * along), WEIGHT)
+            for sign in (1.0, -1.0)
+        )
+        return (ahead - behind) / (2.0 * h)
+
+    assert found.xi @ along == pytest.approx((4.0 * slope(1e-4) - slope(2e-4)) / 3.0, rel=1e-7)
+    states = rollouts.roll_out(segments, segments.x0, np.zeros(LAYOUT.size))
+    fine = roll_out(
+        LATE,
+        x0=segments.x0.T,
+        drive=segments.drive.transpose(1, 2, 0),
+        flight=segments.constants.T,
+        theta=LATE_THETA,
+        step_s=0.005,
+        every=4,
+    )
+    np.testing.assert_allclose(states[:, :, :12].transpose(0, 2, 1), fine, rtol=1e-10, atol=1e-12)
+
+
+def test_rollouts_refuse_segments_cut_for_whole_steps_and_too_many_segments(segments, xi):
+    late = make("vm", LATE, theta=LATE_THETA)
+    with pytest.raises(ValueError, match="segments in 1 parts a step, but this model needs 4"):
+        late.roll_out(segments, np.zeros((3, LATE.size)), xi)
     many = segments.take([0, 1, 2, 0, 1])
     with pytest.raises(ValueError, match="5 segments for a batch of 4"):
         make("vm").roll_out(many, many.x0, xi)

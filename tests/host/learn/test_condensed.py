@@ -28,6 +28,7 @@ VEHICLE = load_vehicle("research")
 DRAG = load_effects()["linear-drag"]
 PHI = Phi(vehicle=VEHICLE, effects=(DRAG,), estimator=False)
 BARE = Phi(vehicle=VEHICLE, estimator=False)
+LATE = Phi(vehicle=VEHICLE, effects=(DRAG, load_effects()["actuation-delay"]), estimator=False)
 SMALL = Layout(hidden=(1,))
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS = 20
@@ -39,23 +40,25 @@ def segments(make_states) -> Segments:
     return cut([make_states(seed) for seed in (1, 2)], PHI, steps=STEPS)
 
 
-def condensed_about(segments: Segments, acceleration: np.ndarray, theta: np.ndarray, *, held: float = 1.0):
-    engine = rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
+def condensed_about(
+    segments: Segments, acceleration: np.ndarray, theta: np.ndarray, *, phi: Phi = PHI, held: float = 1.0
+):
+    engine = rollouts(phi, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
     return condense(
         engine,
         segments,
-        start_sigma=held * start_sigma(PHI, segments),
+        start_sigma=held * start_sigma(phi, segments),
         acceleration=acceleration,
         theta=theta,
         free=range(3),
     )
 
 
-def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray) -> float:
+def rolled(segments: Segments, push: np.ndarray, theta: np.ndarray, phi: Phi = PHI) -> float:
     """The loss of true roll-outs from the measured starts with accelerations (S, knots, 3) at the knots."""
-    engine = Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
+    engine = Rollouts(phi, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT)
     thetas = np.repeat(theta[None], segments.count, axis=0)
-    states = engine.pushed(segments)(segments.x0, thetas, between(spline(STEPS + 1) @ push))
+    states = engine.pushed(segments)(segments.x0, thetas, between(spline(STEPS + 1) @ push, segments.split))
     return loss_of(segments, states.transpose(1, 0, 2), WEIGHT)
 
 
@@ -111,18 +114,22 @@ def test_first_weights_see_inputs_in_typical_sizes(frame):
     np.testing.assert_allclose(first[0] * typical, drawn[0])
 
 
-def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(segments):
-    few = segments.take([0, 3])
+@pytest.mark.parametrize(
+    ("phi", "fixed"),
+    [pytest.param(PHI, (), id="whole-steps"), pytest.param(LATE, (0.004,), id="split-steps")],
+)
+def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(make_states, phi, fixed):
+    few = cut([make_states(seed) for seed in (1, 2)], phi, steps=STEPS).take([0, 3])
     rng = np.random.default_rng(0)
-    at, theta = 0.2 * rng.standard_normal((2, len(KNOTS), 3)), np.array([0.1, 0.2, 0.05])
-    condensed = condensed_about(few, at, theta, held=1e-6)
+    at, theta = 0.2 * rng.standard_normal((2, len(KNOTS), 3)), np.array([0.1, 0.2, 0.05, *fixed])
+    condensed = condensed_about(few, at, theta, phi=phi, held=1e-6)
     u = condensed.at.copy()
-    assert condensed.loss(u)[0] == pytest.approx(rolled(few, at, theta), rel=1e-9)
+    assert condensed.loss(u)[0] == pytest.approx(rolled(few, at, theta, phi), rel=1e-9)
     # Near it, and better than the slope alone says.
-    push, more = 0.02 * rng.standard_normal(at.shape), np.array([0.02, -0.01, 0.03])
+    push, more = 0.02 * rng.standard_normal(at.shape), np.array([0.02, -0.01, 0.03, *np.zeros(len(fixed))])
     u[:, : push[0].size] += push.reshape(2, -1)
-    u[:, push[0].size : -1] += more / effect_scales(PHI)
-    true = rolled(few, at + push, theta + more)
+    u[:, push[0].size : -1] += more[:3] / effect_scales(PHI)
+    true = rolled(few, at + push, theta + more, phi)
     assert condensed.loss(u)[0] == pytest.approx(true, rel=2e-3)
     assert abs(true / condensed.loss(condensed.at)[0] - 1.0) > 0.02
 

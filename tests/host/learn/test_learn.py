@@ -20,8 +20,8 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.log.errors import TooLittleData
-from trimtab.host.models.file import read_model
-from trimtab.host.models.model import Model
+from trimtab.host.models.file import read_model, write_model
+from trimtab.host.models.model import Assessment, Covariance, Model
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Reference
@@ -119,6 +119,33 @@ def test_learn_verb_effects_beside_the_network_are_in_the_model(logs, tmp_path, 
     alone = json.loads(capsys.readouterr().out.splitlines()[-1])["effects"]["linear-drag"]
     np.testing.assert_allclose([alone["dx"], alone["dy"]], [0.8, 0.7], rtol=0.1)
     assert read_model(output, vehicle_id=load_vehicle("research").id).network is None
+
+
+def test_learn_verb_on_a_traced_model_keeps_its_delay_and_learns_what_it_leaves(logs, tmp_path, capsys):
+    """Every trace adjusts the delay of commands, for which RK4 needs shorter steps than the grid's."""
+    vehicle, traced, output = load_vehicle("research"), tmp_path / "t.model.toml", tmp_path / "out.model.toml"
+    adjustments = {"actuation-delay": {"delay_s": 2e-4}, "linear-drag": {"dx": 0.01, "dy": 0.01, "dz": 0.0}}
+    names = ("actuation-delay.delay_s", "linear-drag.dx")
+    base = Model(
+        vehicle_id=vehicle.id,
+        vehicle_name=vehicle.name,
+        adjustments=adjustments,
+        covariance=Covariance(names=names, matrix=((1e-8, 0.0), (0.0, 1e-4))),
+        assessment=Assessment(verdict="traced"),
+    )
+    write_model(base, traced)
+    words = ["learn", *map(str, logs), "--model", str(traced), "-o", str(output), "--hidden", "8", "--json"]
+    assert main(words) == 0
+    test = json.loads(capsys.readouterr().out.splitlines()[-1])["test"]
+    assert test["position_rmse_m"] < 0.4 * test["base"]["position_rmse_m"]
+    model = read_model(output, vehicle_id=vehicle.id)
+    assert (model.adjustments, model.network is None) == (adjustments, False)
+    assert main([*words, "--force", "--no-network", "--effects", "linear-drag"]) == 0
+    model = read_model(output, vehicle_id=vehicle.id)
+    np.testing.assert_allclose(model.effects["linear-drag"]["dx"], 0.8, rtol=0.1)
+    assert set(model.adjustments) == {"actuation-delay"}
+    assert model.covariance is not None
+    assert model.covariance.names == names[:1]
 
 
 def test_learn_verb_networks_in_the_bodys_frame_are_kept_as_such(logs, tmp_path, capsys):

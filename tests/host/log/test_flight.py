@@ -108,7 +108,7 @@ def test_log_independent_reader_finds_topics_times_and_sampling(log_bytes: bytes
     names = {schema.name for schema in summary.schemas.values()}
     assert {"foxglove.Log", "foxglove.PoseInFrame", "trimtab.MocapPose", "trimtab.Control"} <= names
     first = next(iter(reader.iter_decoded_messages(topics=["/mocap/pose"])))
-    assert (first.message.log_time, first.message.publish_time) == (4000, 0)
+    assert (first.message.log_time, first.message.publish_time) == (4_000_000, 0)
     assert list(first.decoded_message.p_ned_m) == [0.0, 0.0, -1.0]
 
 
@@ -120,9 +120,13 @@ def test_log_independent_reader_seeks_and_counts(log_bytes: bytes) -> None:
     assert summary.statistics is not None
     assert summary.statistics.message_count == len(list(reader.iter_messages())) == 3 * 700 + 2 * 70 + 1
     assert summary.statistics.chunk_count == len(summary.chunk_indexes) > 2
-    assert (summary.statistics.message_start_time, summary.statistics.message_end_time) == (4_000, 6_994_000)
-    middle = reader.iter_messages(topics=["/fc/estimate"], starting_at=3_004_000, ending_before=3_504_000)
-    assert [message.log_time for _, _, message in middle] == list(range(3_004_000, 3_504_000, 10_000))
+    start_ns, end_ns = summary.statistics.message_start_time, summary.statistics.message_end_time
+    assert (start_ns, end_ns) == (4_000_000, 6_994_000_000)
+    times_ns = range(3_004_000_000, 3_504_000_000, 10_000_000)
+    middle = reader.iter_messages(
+        topics=["/fc/estimate"], starting_at=times_ns.start, ending_before=times_ns.stop
+    )
+    assert [message.log_time for _, _, message in middle] == list(times_ns)
     assert [attachment.name for attachment in reader.iter_attachments()] == ["vehicle.toml", "flown.ref"]
     assert {record.name for record in reader.iter_metadata()} == {"trimtab", "firmware_parameters"}
     whole = StreamReader(io.BytesIO(log_bytes), validate_crcs=True)

@@ -9,7 +9,15 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from trimtab.host.log import FLIGHT_TOPICS, Flight, LogWriter, Provenance, is_same_flight, read_flight
+from trimtab.host.log import (
+    FLIGHT_TOPICS,
+    Flight,
+    LogWriter,
+    Provenance,
+    is_same_flight,
+    log_parents,
+    read_flight,
+)
 from trimtab.host.log.writer import Stamps
 from trimtab.host.vehicle import Vehicle
 
@@ -57,6 +65,25 @@ def test_logs_of_other_sessions_or_arm_times_hold_different_flights(write: Write
     assert not is_same_flight(one, write("uid", session={**SESSION, "session_uid": "00000000000000a2"}))
     assert not is_same_flight(one, write("armed", session={**SESSION, "arm_host_us": "5000001"}))
     assert not is_same_flight(one, write("no-session", session={}))
+
+
+def test_imports_of_one_source_hold_the_same_flight(write: Write) -> None:
+    one = write("one", session={"source_id": "abc", "source_file": "a.csv"})
+    renamed = write("renamed", session={"source_id": "abc", "source_file": "b.csv"})
+    other_axes = write("axes", session={"source_id": "abc"}, east_m=1.0)
+    for again in (renamed, other_axes):
+        assert one.id != again.id
+        assert is_same_flight(one, again)
+    assert not is_same_flight(one, write("other", session={"source_id": "abd"}))
+    assert not is_same_flight(one, write("bare", session={}))
+    assert not is_same_flight(write("bare-1", session={}, noise=1), write("bare-2", session={}, noise=2))
+
+
+def test_parents_of_a_model_are_the_logs_used_and_those_held_out(write: Write) -> None:
+    one, two, three = (write(name, session={"source_id": name}) for name in ("a", "b", "c"))
+    expected = {"log 0": one.id, "log 1": two.id, "held-out log 0": three.id}
+    assert log_parents([one, two], [three]) == expected
+    assert log_parents([one]) == {"log 0": one.id}
 
 
 def test_simulated_flights_of_one_seed_that_part_in_the_air_are_different(write: Write) -> None:

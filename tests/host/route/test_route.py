@@ -163,6 +163,21 @@ def test_contradictions_are_all_told_before_solving(research: Vehicle) -> None:
         ("total_time_s = 6.0", "times_s = [0, 0.1, 2]", "times_s[1]: leg 0 needs 30.0 m/s"),
         ("[3, 0, -1]", "[0, 0, -1]", "waypoints 0 and 1 are the same point"),
         ("[3, 0, -1]", "[3, 0, 0.2]", "waypoints_m[1]: lies below the floor"),
+        (
+            "[3, 0, -1]",
+            "[30, 0, -1]",
+            "waypoints_m[1]: north 30 m is outside the vehicle's geofence [-10, 10]",
+        ),
+        (
+            'name = "good"',
+            'name = "good"\nlimits.geofence_m = [[-1, 1], [-5, 5], [-3, 0]]',
+            "waypoints_m[1]: north 3 m is outside the route's own geofence [-1, 1]",
+        ),
+        (
+            'name = "good"',
+            'name = "good"\nlimits.geofence_m = [[-5, 5], [-5, 5], [0, 3]]',
+            "limits.geofence_m: down from 0 to 3 m lies below the floor",
+        ),
         ("[3, 0, -1]", "[3, 0]", "waypoints_m[1][2]: missing"),
         ("[3, 0, -1], [0, 3, -1]", "", "waypoints_m: 1 entries; give at least 2"),
         ('name = "good"', 'name = "good"\nspeed = 3', "speed: unknown key"),

@@ -140,6 +140,18 @@ def test_bad_file_tells_every_problem_at_once(research: Vehicle) -> None:
     assert "bad.toml: rotors[2].spin: 'left' is not possible; choose 'cw' or 'ccw'" in lines
 
 
+@pytest.mark.parametrize(
+    ("down", "remedy"), [("[0.0, 6.0]", "write [-6, 0]"), ("[0.5, 6.0]", "write [-6, -0.5]")]
+)
+def test_geofence_below_the_floor_is_a_problem_of_the_vehicle(
+    research: Vehicle, down: str, remedy: str
+) -> None:
+    (line,) = problems(research.to_toml().replace("[-6.0, 0.3]", down))
+    assert line.startswith("bad.toml: limits.geofence_m: down from")
+    assert "lies below the floor; up is negative" in line
+    assert remedy in line
+
+
 def test_wrong_keys_hide_neither_the_boards_bounds_nor_what_lies_between_keys(research: Vehicle) -> None:
     text = (
         research.to_toml()

@@ -30,7 +30,8 @@ def written(folder: Path, text: str) -> Path:
     ("text", "said"),
     [
         ('[[group]]\nname = "x"\nlogs = []\n', "logs"),
-        ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nprofile = "csv"\n', "the profile csv needs columns"),
+        ('[[group]]\nname = "x"\nlogs = ["a.csv"]\nformat = "csv"\n', "the format csv needs columns"),
+        ('[[group]]\nname = "x"\nlogs = ["a"]\nformat = "nanobench"\n', "a format needs the vehicle"),
         (
             '[[group]]\nname = "x"\nlogs = ["a.mcap"]\nhold_out = ["b/a.mcap"]\n',
             "two logs have the same name",
@@ -84,7 +85,7 @@ def test_group_of_the_documentation_is_imported_and_traced(
     for name in ("nanobench", "crazyswarm2_tools"):
         (tmp_path / name).symlink_to(FLIGHTS / name)
     groups = read_groups(written(tmp_path, example))
-    assert [group.profile for group in groups] == ["nanobench", "crazyflie-usd"]
+    assert [group.format for group in groups] == ["nanobench", "crazyflie-usd"]
     (row,) = judge_real(groups[1:], tmp_path / "state")
     assert row["verdict"] == "undecided"
     assert row["after_m"] < 0.7 * row["before_m"]

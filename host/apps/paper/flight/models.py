@@ -140,7 +140,8 @@ def _segments(phi: Phi, theta: np.ndarray, states: Sequence[States], network: Ne
         drive=segments.drive.transpose(1, 2, 0),
         flight=segments.constants.T,
         theta=theta,
-        step_s=segments.step_s,
+        step_s=segments.step_s / segments.split,
+        every=segments.split,
         network=network,
         compiled=True,
     )

@@ -13,12 +13,13 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.nanobench import COLUMNS, CORNERS, UNKNOWN, read
+from trimtab.host.imports.formats.nanobench import COLUMNS, CORNERS, UNKNOWN, read
 
 
 def test_nanobench_flight_is_told_in_ned_and_frd(nanobench_file: Callable[..., Path], made_up: Any) -> None:
     found = read(nanobench_file())
     np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t))
+    assert found.epoch_us == 1_772_660_536_000_000  # the file's times are Unix times
     np.testing.assert_allclose(found.p_ned, made_up.p, atol=1e-9)
     apart = (Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn).magnitude()
     assert apart.max() < 1e-9
@@ -54,13 +55,14 @@ def test_nanobench_without_columns_names_all_of_them(
 
 @pytest.mark.parametrize("word", ["nan", "", "off", "inf"])
 @pytest.mark.parametrize("column", ["t", "qx", "pwr_pm_vbat"])
-def test_nanobench_cell_without_a_number_is_named_by_line(
+def test_nanobench_row_without_a_number_is_skipped_and_counted(
     nanobench_file: Callable[..., Path], foreign: SimpleNamespace, made_up: Any, column: str, word: str
 ) -> None:
-    cells = [f"{value:.9g}" for value in foreign.nanobench_columns(made_up)[column]]
+    cells = [f"{value:.17g}" for value in foreign.nanobench_columns(made_up)[column]]
     cells[40] = word
-    with pytest.raises(ImportFormatError, match=rf"line 42: {column} is not a finite number"):
-        read(nanobench_file(**{column: cells}))
+    found = read(nanobench_file(**{column: cells}))
+    assert found.skipped_rows == 1
+    assert len(not_none(found.imu_us)) == len(cells) - 1
 
 
 def test_nanobench_rows_of_equal_time_count_once(

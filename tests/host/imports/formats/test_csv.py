@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.columns import read, read_map
+from trimtab.host.imports.formats.csv import read, read_map
 from trimtab.host.vehicle import ConfigurationError
 
 LEAST = """
@@ -94,6 +94,7 @@ def test_csv_units_are_converted(
     )
     found = read(foreign.write_csv(tmp_path / "f.csv", columns), map_file(tmp_path, text))
     np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t))
+    assert found.epoch_us == round(77.0 * 1e6 / scale)
     np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-9)
     np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-8)
     np.testing.assert_allclose(not_none(found.motor_command), made_up.motor, atol=1e-9)

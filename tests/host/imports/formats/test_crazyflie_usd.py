@@ -13,7 +13,9 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.crazyflie_usd import UNKNOWN, VARIABLES, decode, read
+from trimtab.host.imports.attitude import pitch_from_positions
+from trimtab.host.imports.formats.crazyflie_usd import POSITION, UNKNOWN, read
+from trimtab.host.imports.formats.usd_events import decode
 
 SMALL = (("a", "h"), ("b", "f"))
 
@@ -26,6 +28,7 @@ def test_usd_flight_is_told_in_ned_and_frd(
     path.write_bytes(foreign.usd_flight(made_up, version=version))
     found = read(path)
     np.testing.assert_array_equal(found.input_us, np.round(1e6 * made_up.t))
+    assert found.epoch_us == 4_321_000
     new = np.searchsorted(not_none(found.input_us), found.pose_us)
     np.testing.assert_allclose(found.p_ned, made_up.p[new], atol=0.6e-3)  # whole millimetres
     apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[new]
@@ -76,7 +79,7 @@ def test_usd_without_variables_names_all_of_them(
     path.write_bytes(foreign.usd_bytes([(1, "few", SMALL)], [(1, k, (0, 0.0)) for k in range(9)], version=2))
     with pytest.raises(ImportFormatError) as caught:
         read(path)
-    assert all(name in str(caught.value) for name in VARIABLES)
+    assert all(name in str(caught.value) for source in POSITION for name in source.variables)
 
 
 @pytest.mark.parametrize("version", [1, 2])
@@ -187,3 +190,45 @@ def test_usd_mass_comes_from_the_info_file_beside_the_log(
         read(Path("log07"))
     info.write_text("experiment: 7\n")
     assert read(Path("log07")).mass_kg is None
+
+
+def test_usd_log_of_another_controller_with_several_rates_is_read(
+    tmp_path: Path, foreign: SimpleNamespace, made_up: Any
+) -> None:
+    f = foreign.in_axes(made_up, "nwu", "flu")
+    q = f.turn.as_quat(scalar_first=True)
+    slow = (("pm.vbat", "f"), ("locSrv.x", "f"))
+    pose = tuple((f"stateEstimate.{name}", "f") for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    fast = tuple((f"{name}", "f") for name in ("gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y", "acc.z"))
+    motors = tuple((f"motor.m{k}", "H") for k in (1, 2, 3, 4))
+    records: list[tuple[int, int, Any]] = []
+    for k, t in enumerate(np.round(1e6 * f.t).astype(int).tolist()):
+        row = [*np.degrees(f.gyro[k]), *(f.force[k] / foreign.G), *np.round(65535 * f.motor[k]).astype(int)]
+        records.append((3, t + 700, row))
+        if k % 2 == 0:
+            records.append((2, t, [*f.p[k], *q[k]]))
+        if k % 10 == 0:
+            records.append((1, t + 200, [f.volt[k], 0.0]))
+    path = tmp_path / "log00"
+    events = [(1, "slow", slow), (2, "pose", pose), (3, "fast", (*fast, *motors))]
+    path.write_bytes(foreign.usd_bytes(events, records, version=2))
+    found = read(path)
+    np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t[::2]))
+    np.testing.assert_array_equal(not_none(found.imu_us), np.round(1e6 * made_up.t) + 700)
+    np.testing.assert_allclose(found.p_ned, made_up.p[::2], atol=1e-6)
+    apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[::2]
+    assert apart.magnitude().max() < 1e-6
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-5)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-5)
+    np.testing.assert_allclose(not_none(found.motor_command), made_up.motor, atol=1e-5)
+    assert found.motor_corners == ("front-right", "rear-right", "rear-left", "front-left")
+    assert len(not_none(found.battery_us)) == len(made_up.t[::10])
+    assert found.thrust_n is None
+
+
+def test_pitch_that_was_not_logged_comes_from_the_positions(made_up: Any, foreign: SimpleNamespace) -> None:
+    f = foreign.in_axes(made_up, "nwu", "flu")
+    yaw, pitch, _ = f.turn.as_euler("ZYX").T
+    rebuilt = pitch_from_positions(f.t, f.p, yaw)
+    assert np.std(pitch) > 0.05
+    assert np.std(rebuilt - pitch) < 0.2 * np.std(pitch)

@@ -10,6 +10,9 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats.nanobench import STANDARD_GRAVITY
+from trimtab.host.imports.formats.table import header, table, table_contents
 from trimtab.host.imports.frames import (
     Body,
     World,
@@ -19,7 +22,6 @@ from trimtab.host.imports.frames import (
     turn_from_euler,
     turn_from_quaternion,
 )
-from trimtab.host.imports.nanobench import STANDARD_GRAVITY
 from trimtab.host.imports.recording import (
     ImportFormatError,
     Recording,
@@ -28,7 +30,6 @@ from trimtab.host.imports.recording import (
     fresh,
     since_first_us,
 )
-from trimtab.host.imports.table import table
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.host.vehicle.files import read_text
 from trimtab.host.vehicle.strict_toml import Strict, parse_toml, validate
@@ -59,6 +60,8 @@ class ColumnMap(Strict):
     """Motor commands in the order of the vehicle file's rotors."""
     motor_command_full: Annotated[float, Field(gt=0.0)] = 1.0
     """Value of a full motor command."""
+    motor_command_zero: float = 0.0
+    """Value of no motor command, as 1000 for pulses of 1000 to 2000 us."""
     thrust_n: str | None = None
     """Commanded collective thrust."""
     torque_n_m: Three | None = None
@@ -107,6 +110,7 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
         ("quaternion_order", "quaternion"),
         ("euler_unit", "euler"),
         ("motor_command_full", "motor_command"),
+        ("motor_command_zero", "motor_command"),
         ("gyro_unit", "gyro"),
         ("specific_force_unit", "specific_force"),
         ("reference_velocity_m_s", "reference_position_m"),
@@ -114,10 +118,24 @@ def _contradictions(data: Mapping[str, Any]) -> list[str]:
     ):
         if unit in keys and owner not in keys:
             problems.append(f"{unit}: has no meaning without {owner}; add {owner} or remove {unit}")
+    zero, full = data.get("motor_command_zero", 0.0), data.get("motor_command_full", 1.0)
+    numbers = all(isinstance(value, int | float) for value in (zero, full))
+    if "motor_command_zero" in keys and numbers and not zero < full:
+        problems.append(f"motor_command_zero: {zero:g} is not below motor_command_full, {full:g}")
     for key, names in data.items():
         if key != "unknown" and isinstance(names, list) and len(set(map(str, names))) < len(names):
             problems.append(f"{key}: names a column twice; give a different column for each entry")
     return problems
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the first line names at least two columns."""
+    return bool(header(head))
+
+
+def contents(path: Path) -> Contents:
+    """Return the columns of the file, of unknown rate without a column map. Raises ImportFormatError."""
+    return table_contents(path)
 
 
 def read(path: Path | str, columns: Path | str) -> Recording:
@@ -132,7 +150,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
         chosen.reference_velocity_m_s, chosen.reference_acceleration_m_s2,
         tuple(name for name in (chosen.thrust_n, chosen.battery_v) if name is not None),
     )  # fmt: skip
-    rows = table(path, [name for group in groups for name in group or ()])
+    held = table(path, [name for group in groups for name in group or ()])
+    rows = held.columns
     t_us = since_first_us(rows[chosen.time], _TIME_US[chosen.time_unit], path.name)
     keep = first_of_equal(t_us)
     t_us = t_us[keep]
@@ -155,7 +174,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
     position = stack(chosen.position_m)
     attitude, turn = _turn(chosen, stack, path.name)
     new = fresh(position, attitude)
-    motors = None if chosen.motor_command is None else stack(chosen.motor_command) / chosen.motor_command_full
+    zero, full = chosen.motor_command_zero, chosen.motor_command_full
+    motors = None if chosen.motor_command is None else (stack(chosen.motor_command) - zero) / (full - zero)
     return Recording(
         source=path.name,
         pose_us=t_us[new],
@@ -177,6 +197,8 @@ def read(path: Path | str, columns: Path | str) -> Recording:
         v_ref_ned=in_world(chosen.reference_velocity_m_s),
         a_ref_ned=in_world(chosen.reference_acceleration_m_s2),
         unknown=chosen.unknown,
+        skipped_rows=held.skipped,
+        epoch_us=round(_TIME_US[chosen.time_unit] * float(rows[chosen.time][0])),
     )
 
 

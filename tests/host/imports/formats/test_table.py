@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.table import table
+from trimtab.host.imports.formats.table import table
 
 
 def read(tmp_path: Path, text: str | bytes, *needed: str) -> dict[str, list[float]]:
     path = tmp_path / "flight.csv"
     path.write_bytes(text.encode() if isinstance(text, str) else text)
-    return {name: values.tolist() for name, values in table(path, needed or ("t", "x")).items()}
+    return {name: values.tolist() for name, values in table(path, needed or ("t", "x")).columns.items()}
 
 
 @pytest.mark.parametrize(
@@ -52,6 +52,20 @@ def test_table_with_a_problem_names_it_in_one_line(tmp_path: Path, text: str | b
     assert said in str(caught.value)
     assert str(caught.value).startswith("flight.csv: ")
     assert "\n" not in str(caught.value)
+
+
+def test_few_rows_without_numbers_are_skipped_and_counted(tmp_path: Path) -> None:
+    rows = [f"{k},{2 * k}" for k in range(60)]
+    rows[7], rows[20], rows[33] = "7,nan", ",40", "33,word"
+    path = tmp_path / "flight.csv"
+    path.write_text("\n".join(["t,x", *rows]))
+    held = table(path, ("t", "x"))
+    assert held.skipped == 3
+    assert held.columns["t"].tolist() == [k for k in range(60) if k not in (7, 20, 33)]
+    rows[1] = "1,inf"
+    path.write_text("\n".join(["t,x", *rows]))
+    with pytest.raises(ImportFormatError, match="line 3: x is not a finite number, and 3 more rows"):
+        table(path, ("t", "x"))
 
 
 @pytest.mark.parametrize("name", ["absent.csv", "."])

@@ -10,6 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats.table import header, table, table_contents
 from trimtab.host.imports.frames import q_ned_frd, to_frd, to_ned, turn_from_quaternion
 from trimtab.host.imports.recording import (
     Corner,
@@ -20,7 +22,6 @@ from trimtab.host.imports.recording import (
     fresh,
     since_first_us,
 )
-from trimtab.host.imports.table import table
 
 UNKNOWN: tuple[Unknown, ...] = (
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
@@ -39,10 +40,21 @@ _BATTERY = "pwr_pm_vbat"
 COLUMNS = ("t", *_POSITION, *_QUATERNION, *_MOTORS, *_GYRO, *_ACCELEROMETER, _BATTERY)
 
 
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the first line names all columns of NanoBench."""
+    return set(COLUMNS) <= set(header(head))
+
+
+def contents(path: Path) -> Contents:
+    """Return the columns of the file, with their rate. Raises ImportFormatError."""
+    return table_contents(path, COLUMNS[0])
+
+
 def read(path: Path | str) -> Recording:
     """Return the flight of a NanoBench CSV file. Raises ImportFormatError with file, column and line."""
     path = Path(path)
-    rows = table(path, COLUMNS)
+    held = table(path, COLUMNS)
+    rows = held.columns
     t_us = since_first_us(rows["t"], 1e6, path.name)
     keep = first_of_equal(t_us)
     t_us = t_us[keep]
@@ -70,4 +82,6 @@ def read(path: Path | str) -> Recording:
         battery_us=t_us,
         battery_v=rows[_BATTERY][keep],
         unknown=UNKNOWN,
+        skipped_rows=held.skipped,
+        epoch_us=round(1e6 * float(rows["t"][0])),
     )

@@ -1,0 +1,28 @@
+"""What a foreign file holds, found without importing it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True, kw_only=True)
+class Topic:
+    """A stream of one rate: name as in the file, number of samples, and samples per second (0 if unknown)."""
+
+    name: str
+    count: int
+    rate_hz: float
+
+
+@dataclass(frozen=True, kw_only=True)
+class Contents:
+    """Topics of a file in its own order, its duration, and what is wrong with it, a line each."""
+
+    topics: tuple[Topic, ...]
+    duration_s: float
+    notes: tuple[str, ...] = ()
+
+
+def topic(name: str, count: int, duration_s: float) -> Topic:
+    """Return a topic with `count` samples that span `duration_s`."""
+    return Topic(name=name, count=count, rate_hz=(count - 1) / duration_s if duration_s > 0.0 else 0.0)

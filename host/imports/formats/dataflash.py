@@ -1,0 +1,177 @@
+"""Reader of ArduPilot DataFlash logs (.bin) by pymavlink's DFReader.
+
+The world is NED, the body FRD, angles are in degrees, times in us since boot. Poses come from the estimator.
+"""
+
+from __future__ import annotations
+
+import warnings
+from array import array
+from contextlib import closing, redirect_stderr, redirect_stdout
+from io import StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats.ulog import UNKNOWN
+from trimtab.host.imports.frames import turn_from_euler
+from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable, fresh
+from trimtab.host.imports.topics import Source, Topic, TopicLog
+from trimtab.host.imports.tracks import Track, turns_at
+
+MARK = b"\xa3\x95\x80"
+"""Head of the first message, which defines the format of the messages that define formats."""
+
+DEG = np.pi / 180.0
+POSITION = tuple(Source(topic=name, fields=("PN", "PE", "PD")) for name in ("XKF1", "NKF1", "EKF1"))
+ATTITUDE = (Source(topic="ATT", fields=("Roll", "Pitch", "Yaw"), factor=DEG),)
+RATE = (Source(topic="IMU", fields=("GyrX", "GyrY", "GyrZ")),)
+FORCE = (Source(topic="IMU", fields=("AccX", "AccY", "AccZ")),)
+VOLTAGE = (Source(topic="BAT", fields=("Volt",)), Source(topic="CURR", fields=("Volt",)))
+PULSES = (Source(topic="RCOU", fields=("C1", "C2", "C3", "C4")),)
+INSTANCES = ("I", "Instance", "C")
+"""Fields that number sensors or estimators; the first of each is read."""
+
+CORNERS: dict[int, tuple[Corner, Corner, Corner, Corner]] = {
+    1: ("front-right", "rear-left", "front-left", "rear-right"),
+    12: ("rear-right", "front-right", "rear-left", "front-left"),
+    13: ("front-right", "front-left", "rear-left", "rear-right"),
+    14: ("front-right", "rear-right", "rear-left", "front-left"),
+}
+"""Order of the motors by FRAME_TYPE: X, Betaflight's X, DJI's X, clockwise X."""
+
+QUADROTOR = 1
+PWM_MIN_US, PWM_MAX_US = 1000.0, 2000.0
+"""Pulse widths of no and full command unless MOT_PWM_MIN and MOT_PWM_MAX give others."""
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the file begins as a DataFlash log."""
+    return head.startswith(MARK)
+
+
+def contents(path: Path) -> Contents:
+    """Return the messages that hold quantities, with their rates. Raises ImportFormatError."""
+    return _log(path).contents()
+
+
+def read(path: Path | str) -> Recording:
+    """Return the flight of a DataFlash log. Raises ImportFormatError with file, problem and remedy."""
+    path = Path(path)
+    log = _log(path)
+    position, attitude = log.first(POSITION), log.first(ATTITUDE)
+    if position is None:
+        raise log.missing(POSITION)
+    if attitude is None:
+        raise log.missing(ATTITUDE)
+    new = fresh(position.values)
+    pose_us = position.t_us[new]
+    rate, force, voltage = log.first(RATE), log.first(FORCE), log.first(VOLTAGE)
+    imu, motors = rate or force, _motors(log)
+    turn = turn_from_euler(attitude.values)
+    return Recording(
+        source=path.name,
+        pose_us=pose_us,
+        p_ned=position.values[new],
+        q_ned_frd=turns_at(attitude.t_us, turn, pose_us).as_quat(scalar_first=True, canonical=True),
+        input_us=None if motors is None else motors.t_us,
+        motor_command=None if motors is None else motors.values,
+        motor_corners=None if motors is None else _corners(log),
+        imu_us=None if imu is None else imu.t_us,
+        gyro=None if rate is None or imu is None else rate.at(imu.t_us),
+        specific_force=None if force is None or imu is None else force.at(imu.t_us),
+        battery_us=None if voltage is None else voltage.t_us,
+        battery_v=None if voltage is None else voltage.values[:, 0],
+        epoch_us=log.start_us,
+        unknown=UNKNOWN,
+    )
+
+
+def _motors(log: TopicLog) -> Track | None:
+    """Return the motor commands in 0..1; None without any."""
+    pulses = log.first(PULSES)
+    if pulses is None:
+        return None
+    low = log.parameters.get("MOT_PWM_MIN", PWM_MIN_US) or PWM_MIN_US
+    high = log.parameters.get("MOT_PWM_MAX", PWM_MAX_US) or PWM_MAX_US
+    if not low < high:
+        raise ImportFormatError(
+            f"{log.name}: MOT_PWM_MIN {low:g} is not below MOT_PWM_MAX {high:g}; correct it"
+        )
+    return Track(t_us=pulses.t_us, values=np.maximum((pulses.values - low) / (high - low), 0.0))
+
+
+def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
+    """Return the corners of the motors. Raises ImportFormatError for a frame that is no quadrotor in X."""
+    kind, order = log.parameters.get("FRAME_CLASS", QUADROTOR), log.parameters.get("FRAME_TYPE", 1.0)
+    if int(kind) != QUADROTOR or int(order) not in CORNERS:
+        raise ImportFormatError(
+            f"{log.name}: FRAME_CLASS {kind:g} with FRAME_TYPE {order:g} is no known quadrotor in X; "
+            "only those can be imported"
+        )
+    return CORNERS[int(order)]
+
+
+def _log(path: Path) -> TopicLog:
+    """Return the messages with quantities, and the parameters."""
+    check_readable(path)
+    wanted = {source.topic: () for of in (POSITION, ATTITUDE, RATE, FORCE, VOLTAGE, PULSES) for source in of}
+    rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]] = {}
+    parameters: dict[str, float] = {}
+    try:
+        _read(path, [*wanted, "PARM"], rows, parameters)
+    except Exception as error:
+        if not any(len(times) for _, times, _ in rows.values()):
+            # DFReader reports damage by whatever exception its parser ran into.
+            raise ImportFormatError(
+                f"{path.name}: not a whole DataFlash log ({type(error).__name__}); download it again"
+            ) from None
+    topics = {
+        name: Topic(
+            t_us=np.array(times, dtype=np.int64),
+            columns=dict(zip(fields, np.array(values).reshape(len(times), len(fields)).T, strict=True)),
+        )
+        for name, (fields, times, values) in rows.items()
+        if len(times)
+    }
+    if not topics:
+        raise ImportFormatError(f"{path.name}: none of the messages {', '.join(wanted)}; set LOG_BITMASK")
+    start_us = min(int(topic.t_us.min()) for topic in topics.values())
+    end_us = max(int(topic.t_us.max()) for topic in topics.values())
+    return TopicLog(
+        name=path.name,
+        topics=topics,
+        start_us=start_us,
+        duration_s=(end_us - start_us) * 1e-6,
+        parameters=parameters,
+    )
+
+
+def _read(
+    path: Path,
+    names: list[str],
+    rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]],
+    parameters: dict[str, float],
+) -> None:
+    """Fill the rows of the named messages, numbers only, and the parameters."""
+    from pymavlink.DFReader import DFReader_binary
+
+    # DFReader prints what it cannot read, and leaves the file open if it cannot read the beginning.
+    with warnings.catch_warnings(), redirect_stderr(StringIO()), redirect_stdout(StringIO()):
+        warnings.simplefilter("ignore", ResourceWarning)
+        reader: Any = DFReader_binary(str(path))
+    with closing(reader.filehandle):
+        while (message := reader.recv_match(type=names)) is not None:
+            kind, held = message.get_type(), message.to_dict()
+            if kind == "PARM":
+                parameters[str(held["Name"])] = float(held["Value"])
+                continue
+            if any(held.get(field) for field in INSTANCES):
+                continue
+            numbers = {k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"}
+            fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
+            if tuple(numbers) == fields:
+                times.append(int(held["TimeUS"]))
+                values.extend(numbers.values())

@@ -1,0 +1,109 @@
+"""Reader of named numeric columns of a CSV file."""
+
+from __future__ import annotations
+
+import csv
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+
+from trimtab.host.imports.contents import Contents, topic
+from trimtab.host.imports.recording import READABLE, ImportFormatError
+
+SKIPPED_MAX = 0.05
+"""Greatest share of rows without finite numbers; with more, a column is wrong or has another rate."""
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Table:
+    """Columns by name, of the rows in which all are finite, and the number of other rows."""
+
+    columns: Mapping[str, Annotated[np.ndarray, "rows"]]
+    skipped: int
+
+
+def table(path: Path, needed: Sequence[str]) -> Table:
+    """Return the needed columns of a CSV file.
+
+    Empty lines, spaces around names and a byte order mark are ignored. Rows without a finite number below
+    1e30 in every needed column are skipped. Raises ImportFormatError with the file and every missing column,
+    or with the first such line and column if there are more than SKIPPED_MAX of them.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            return _table(stream, path.name, tuple(dict.fromkeys(needed)))
+    except UnicodeDecodeError as error:
+        raise ImportFormatError(
+            f"{path.name}: not UTF-8 text at byte {error.start}; give a CSV file"
+        ) from None
+    except csv.Error as error:
+        raise ImportFormatError(f"{path.name}: not a CSV file ({error}); give one") from None
+    except OSError as error:
+        raise ImportFormatError(
+            f"{path}: cannot be read ({error.strerror or error}); check the path"
+        ) from None
+
+
+def header(head: bytes) -> tuple[str, ...]:
+    """Return the column names in the first line, given a file's first bytes; empty if it is not CSV."""
+    line, end, _ = head.partition(b"\n")
+    try:
+        names = next(csv.reader([line.decode("utf-8-sig").strip("\r")]), []) if end else []
+    except (UnicodeDecodeError, csv.Error):
+        return ()
+    return tuple(name.strip() for name in names) if len(names) > 1 else ()
+
+
+def table_contents(path: Path, time: str | None = None, unit_s: float = 1.0) -> Contents:
+    """Return each column as a topic. Rates are known if a column of times is named, with its unit in seconds.
+
+    Raises ImportFormatError as `table` does.
+    """
+    names = header(path.read_bytes())
+    rows = table(path, [time] if time is not None else names[:1])
+    times = next(iter(rows.columns.values()))
+    duration_s = float(times[-1] - times[0]) * unit_s if time is not None else 0.0
+    return Contents(
+        topics=tuple(topic(name, len(times), duration_s) for name in names), duration_s=duration_s
+    )
+
+
+def _table(stream: object, name: str, needed: tuple[str, ...]) -> Table:
+    reader = csv.reader(stream)  # type: ignore[arg-type]
+    header = [cell.strip() for cell in next(reader, [])]
+    missing = [column for column in needed if column not in header]
+    if missing:
+        raise ImportFormatError(f"{name}: no column {', '.join(missing)}; is it another format?")
+    twice = [column for column in needed if header.count(column) > 1]
+    if twice:
+        raise ImportFormatError(f"{name}: two columns are named {', '.join(twice)}; rename one")
+    at = [header.index(column) for column in needed]
+    rows: list[list[float]] = []
+    first, skipped = "", 0
+    for cells in reader:
+        if not cells:
+            continue
+        row = [_number(cells, i) for i in at]
+        wrong = [column for column, value in zip(needed, row, strict=True) if not abs(value) < READABLE]
+        if wrong:
+            skipped += 1
+            first = first or f"line {reader.line_num}: {wrong[0]} is not a finite number"
+        else:
+            rows.append(row)
+    if skipped > SKIPPED_MAX * (skipped + len(rows)):
+        raise ImportFormatError(f"{name}: {first}, and {skipped - 1} more rows; remove or correct them")
+    if len(rows) < 2:
+        raise ImportFormatError(f"{name}: fewer than two rows of numbers; nothing to import")
+    return Table(columns=dict(zip(needed, np.array(rows).T, strict=True)), skipped=skipped)
+
+
+def _number(cells: list[str], index: int) -> float:
+    """Return a cell's number; NaN if it holds none."""
+    try:
+        return float(cells[index])
+    except (ValueError, IndexError):
+        return math.nan

@@ -1,0 +1,176 @@
+"""Reader of PX4 ULog files by pyulog.
+
+The world is NED, the body FRD, quaternions have w first, times are in us since boot. Poses come from motion
+capture if the file holds it, else from the on-board estimator. Motor commands are the normalised outputs of
+the mixer if they were logged, else pulse widths.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.extras import optional
+from trimtab.host.imports.frames import turn_from_quaternion
+from trimtab.host.imports.recording import (
+    Corner,
+    ImportFormatError,
+    Recording,
+    Unknown,
+    check_readable,
+    fresh,
+)
+from trimtab.host.imports.topics import Source, Topic, TopicLog
+from trimtab.host.imports.tracks import Track, turns_at
+
+MAGIC = b"ULog\x01\x12\x35"
+UNKNOWN: tuple[Unknown, ...] = (
+    "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
+)  # fmt: skip
+CORNERS: tuple[Corner, Corner, Corner, Corner] = ("front-right", "rear-left", "front-left", "rear-right")
+"""Order of PX4's motors on a quadrotor in X, unless parameters CA_ROTOR* place them."""
+
+PWM_MIN_US, PWM_MAX_US = 1000.0, 2000.0
+"""Pulse widths of no and full command unless parameters PWM_MIN and PWM_MAX give others."""
+
+
+def _source(name: str, field: str, count: int) -> Source:
+    return Source(topic=name, fields=tuple(f"{field}[{k}]" for k in range(count)))
+
+
+POSITION = (
+    Source(topic="vehicle_mocap_odometry", fields=("x", "y", "z")),
+    _source("vehicle_mocap_odometry", "position", 3),
+    Source(topic="vehicle_visual_odometry", fields=("x", "y", "z")),
+    _source("vehicle_visual_odometry", "position", 3),
+    Source(topic="vehicle_local_position", fields=("x", "y", "z")),
+)
+ATTITUDE = {
+    "vehicle_mocap_odometry": _source("vehicle_mocap_odometry", "q", 4),
+    "vehicle_visual_odometry": _source("vehicle_visual_odometry", "q", 4),
+    "vehicle_local_position": _source("vehicle_attitude", "q", 4),
+}
+"""Where the attitude is that belongs to the topic of a position."""
+
+MOTORS = _source("actuator_motors", "control", 4)
+PULSES = _source("actuator_outputs", "output", 4)
+RATE = (_source("sensor_combined", "gyro_rad", 3), _source("vehicle_angular_velocity", "xyz", 3))
+FORCE = (_source("sensor_combined", "accelerometer_m_s2", 3), _source("vehicle_acceleration", "xyz", 3))
+VOLTAGE = (Source(topic="battery_status", fields=("voltage_v",)),)
+REFERENCE = (
+    Source(topic="vehicle_local_position_setpoint", fields=("x", "y", "z")),
+    _source("trajectory_setpoint", "position", 3),
+)
+
+
+def recognises(path: Path, head: bytes) -> bool:
+    """Return whether the file begins as a ULog."""
+    return head.startswith(MAGIC)
+
+
+def contents(path: Path) -> Contents:
+    """Return the topics of the file with their rates. Raises ImportFormatError."""
+    return _log(path).contents()
+
+
+def read(path: Path | str) -> Recording:
+    """Return the flight of a ULog. Raises ImportFormatError with the file, the problem and the remedy."""
+    path = Path(path)
+    log = _log(path)
+    source = next((source for source in POSITION if log.has(source)), None)
+    if source is None:
+        raise log.missing(POSITION)
+    position, attitude = log.needed(source), log.needed(ATTITUDE[source.topic])
+    try:
+        turn = turn_from_quaternion(attitude.values, scalar_first=True)
+    except ValueError as error:
+        raise ImportFormatError(f"{path.name}: {error}; cut the log before that row") from None
+    new = fresh(position.values)
+    pose_us, p_ned = position.t_us[new], position.values[new]
+    rate, force, voltage, reference = (log.first(of) for of in (RATE, FORCE, VOLTAGE, REFERENCE))
+    imu, motors = rate or force, _motors(log)
+    return Recording(
+        source=path.name,
+        pose_us=pose_us,
+        p_ned=p_ned,
+        q_ned_frd=turns_at(attitude.t_us, turn, pose_us).as_quat(scalar_first=True, canonical=True),
+        input_us=None if motors is None else motors.t_us,
+        motor_command=None if motors is None else motors.values,
+        motor_corners=None if motors is None else _corners(log.parameters),
+        imu_us=None if imu is None else imu.t_us,
+        gyro=None if rate is None or imu is None else rate.at(imu.t_us),
+        specific_force=None if force is None or imu is None else force.at(imu.t_us),
+        battery_us=None if voltage is None else voltage.t_us,
+        battery_v=None if voltage is None else voltage.values[:, 0],
+        reference_us=None if reference is None else reference.t_us,
+        p_ref_ned=None if reference is None else reference.values,
+        epoch_us=log.start_us,
+        unknown=UNKNOWN,
+    )
+
+
+def _motors(log: TopicLog) -> Track | None:
+    """Return the motor commands in 0..1; None without any."""
+    if log.has(MOTORS):
+        commands = log.needed(MOTORS)
+    elif log.has(PULSES):
+        pulses = log.needed(PULSES)
+        low = log.parameters.get("PWM_MIN", PWM_MIN_US)
+        high = log.parameters.get("PWM_MAX", PWM_MAX_US)
+        if not low < high:
+            raise ImportFormatError(f"{log.name}: PWM_MIN {low:g} is not below PWM_MAX {high:g}; correct it")
+        commands = Track(t_us=pulses.t_us, values=(pulses.values - low) / (high - low))
+    else:
+        return None
+    # A disarmed motor is commanded below its least pulse.
+    return Track(t_us=commands.t_us, values=np.maximum(commands.values, 0.0))
+
+
+def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, Corner]:
+    """Return the corners of the motors, from the parameters that place them if there are any."""
+    sides: dict[tuple[bool, bool], Corner] = {
+        (True, True): "front-right",
+        (False, True): "rear-right",
+        (False, False): "rear-left",
+        (True, False): "front-left",
+    }
+    placed = [
+        (parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0)) for k in range(4)
+    ]
+    corners: list[Corner] = [sides[x > 0.0, y > 0.0] for x, y in placed]
+    if len(set(corners)) < len(corners):
+        return CORNERS
+    return corners[0], corners[1], corners[2], corners[3]
+
+
+def _log(path: Path) -> TopicLog:
+    """Return the topics of the file, the first instance of each."""
+    pyulog = optional("pyulog", "logs")
+    check_readable(path)
+    try:
+        file: Any = pyulog.ULog(str(path), disable_str_exceptions=True)
+    except Exception as error:
+        # pyulog reports damage by whatever exception its parser ran into.
+        raise ImportFormatError(
+            f"{path.name}: not a whole ULog ({type(error).__name__}); copy it from the vehicle again"
+        ) from None
+    topics: dict[str, Topic] = {}
+    for data in file.data_list:
+        if len(data.data["timestamp"]):
+            topics.setdefault(
+                data.name, Topic(t_us=data.data["timestamp"].astype(np.int64), columns=data.data)
+            )
+    if not topics:
+        raise ImportFormatError(f"{path.name}: no data; was the log stopped before take-off?")
+    return TopicLog(
+        name=path.name,
+        topics=topics,
+        start_us=int(file.start_timestamp),
+        duration_s=(int(file.last_timestamp) - int(file.start_timestamp)) * 1e-6,
+        parameters=dict(file.initial_parameters),
+        damaged=bool(file.file_corruption),
+    )

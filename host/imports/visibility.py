@@ -1,0 +1,41 @@
+"""What a recording does not determine, and the effects that tracing therefore cannot see."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+import numpy as np
+
+from trimtab.host.effects import Effect
+from trimtab.host.effects.unknowns import UNKNOWN, UNKNOWN_IF_SLOW, UNKNOWN_WITHOUT_INPUTS
+from trimtab.host.imports.recording import Recording
+
+TYPICAL_LAG_S = 0.05
+"""Motor lag of small quadrotors, for a recording whose vehicle is not known yet."""
+
+
+def unknown_words(recording: Recording, motor_lag_s: float = TYPICAL_LAG_S) -> tuple[str, ...]:
+    """Return what the recording declares unknown, and what its inputs do not determine."""
+    words: set[str] = set(recording.unknown)
+    if recording.input_us is None:
+        words |= UNKNOWN_WITHOUT_INPUTS
+    elif float(np.median(np.diff(recording.input_us))) * 1e-6 > motor_lag_s:
+        words |= UNKNOWN_IF_SLOW
+    return tuple(word for word in UNKNOWN if word in words)
+
+
+def invisible_effects(
+    effects: Mapping[str, Effect], recording: Recording, motor_lag_s: float = TYPICAL_LAG_S
+) -> dict[str, str]:
+    """Return the reason, by effect, for each effect that the recording cannot show."""
+    words = unknown_words(recording, motor_lag_s)
+    signals = {"voltage_ratio": recording.battery_v, "gyro": recording.gyro}
+    reasons = {}
+    for name, effect in effects.items():
+        replaced = [word for word in words if word in effect.replaced_by]
+        absent = [signal for signal in effect.needs_signals if signals[signal] is None]
+        if replaced and not set(words) & set(effect.freed_by):
+            reasons[name] = f"{', '.join(replaced)} unknown"
+        elif absent:
+            reasons[name] = f"no {', '.join(absent)}"
+    return reasons

@@ -1,0 +1,40 @@
+"""Blackbox headers: fields and rate, and why no such log can be imported."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.formats import betaflight, recognise
+
+HEADER = (
+    b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n"
+    b"H Field I name:loopIteration,time,gyroADC[0],motor[0]\n"
+    b"H looptime:125\nH P interval:1/4\n"
+)
+
+
+def test_fields_and_rate_of_the_main_frames_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "LOG00001.BBL"
+    path.write_bytes(HEADER + b"I\x00\x01" * 50)
+    assert recognise(path) == "betaflight"
+    topics = betaflight.contents(path).topics
+    assert [topic.name for topic in topics] == ["loopIteration", "time", "gyroADC[0]", "motor[0]"]
+    assert {topic.rate_hz for topic in topics} == {2000.0}
+    with pytest.raises(ImportFormatError, match=r"LOG00001\.BBL: a Betaflight log holds no positions"):
+        betaflight.read(path)
+
+
+@settings(suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(rest=st.binary(max_size=300))
+def test_any_header_is_told_or_refused(tmp_path: Path, rest: bytes) -> None:
+    path = tmp_path / "log"
+    path.write_bytes(betaflight.MARK + rest)
+    try:
+        assert betaflight.contents(path).topics
+    except ImportFormatError as error:
+        assert str(error).startswith("log: ")  # noqa: PT017 (either outcome is good)

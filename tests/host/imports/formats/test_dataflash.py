@@ -1,0 +1,137 @@
+"""DataFlash logs, packed here message by message and read by pymavlink."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.narrowing import not_none
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.formats import dataflash, recognise
+from trimtab.host.imports.formats.dataflash import read
+
+START_US = 7_000_000
+LAYOUTS = {"Q": "Q", "f": "f", "B": "B", "H": "H", "N": "16s"}
+FORMATS = {
+    "FMT": (0x80, "BBnNZ", "Type,Length,Name,Format,Columns"),
+    "PARM": (64, "QNf", "TimeUS,Name,Value"),
+    "ATT": (65, "Qfff", "TimeUS,Roll,Pitch,Yaw"),
+    "XKF1": (66, "QBfff", "TimeUS,C,PN,PE,PD"),
+    "IMU": (67, "QBffffff", "TimeUS,I,GyrX,GyrY,GyrZ,AccX,AccY,AccZ"),
+    "RCOU": (68, "QHHHH", "TimeUS,C1,C2,C3,C4"),
+    "BAT": (69, "QBf", "TimeUS,Instance,Volt"),
+}
+HEAD = b"\xa3\x95"
+Write = Callable[..., Path]
+
+
+def packed(name: str, *values: Any) -> bytes:
+    number, letters, _ = FORMATS[name]
+    layout = "".join(LAYOUTS[letter] for letter in letters)
+    return HEAD + bytes([number]) + struct.pack(f"<{layout}", *values)
+
+
+def definitions() -> bytes:
+    data = b""
+    for name, (number, letters, columns) in FORMATS.items():
+        size = (
+            89 if name == "FMT" else 3 + struct.calcsize("<" + "".join(LAYOUTS[letter] for letter in letters))
+        )
+        body = struct.pack("<BB4s16s64s", number, size, name.encode(), letters.encode(), columns.encode())
+        data += HEAD + bytes([0x80]) + body
+    return data
+
+
+def log_bytes(flight: Any, parameters: Mapping[str, float], rows: int | None = None) -> bytes:
+    """The flight with two estimators and two IMUs, of which the second ones are wrong."""
+    data = definitions()
+    data += b"".join(packed("PARM", START_US, key.encode(), value) for key, value in parameters.items())
+    yaw, pitch, roll = np.degrees(flight.turn.as_euler("ZYX")).T
+    pulses = np.round(1000 + 1000 * flight.motor).astype(int)[:, [0, 2, 3, 1]]
+    for k, t in enumerate((START_US + np.round(1e6 * flight.t).astype(int))[:rows].tolist()):
+        data += packed("IMU", t, 0, *flight.gyro[k], *flight.force[k]) + packed("IMU", t, 1, *[9.0] * 6)
+        data += packed("RCOU", t, *pulses[k].tolist()) + packed("ATT", t, roll[k], pitch[k], yaw[k])
+        if k % 4 == 0:
+            data += packed("XKF1", t, 0, *flight.p[k]) + packed("XKF1", t, 1, 1.0, 2.0, 3.0)
+            data += packed("BAT", t, 0, flight.volt[k])
+    return data
+
+
+@pytest.fixture
+def write(tmp_path: Path, made_up: Any) -> Write:
+    def make(**parameters: float) -> Path:
+        path = tmp_path / "flight.bin"
+        path.write_bytes(log_bytes(made_up, parameters))
+        return path
+
+    return make
+
+
+def test_dataflash_flight_is_read_from_the_first_instances(write: Write, made_up: Any) -> None:
+    path = write(FRAME_CLASS=1.0, FRAME_TYPE=1.0)
+    assert recognise(path) == "dataflash"
+    found = read(path)
+    np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t[::4]))
+    np.testing.assert_allclose(found.p_ned, made_up.p[::4], atol=1e-6)
+    apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[::4]
+    assert apart.magnitude().max() < 1e-6
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-5)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-5)
+    assert found.motor_corners == ("front-right", "rear-left", "front-left", "rear-right")
+    np.testing.assert_allclose(not_none(found.motor_command), made_up.motor[:, [0, 2, 3, 1]], atol=6e-4)
+    np.testing.assert_allclose(not_none(found.battery_v), made_up.volt[::4], rtol=1e-6)
+    rates = {topic.name: topic.rate_hz for topic in dataflash.contents(path).topics}
+    assert rates["IMU"] == pytest.approx(100.0)
+    assert rates["XKF1"] == pytest.approx(25.0, rel=0.01)
+
+
+def test_pulse_range_and_frame_of_the_vehicle_are_used(write: Write) -> None:
+    found = read(write(FRAME_TYPE=14.0, MOT_PWM_MIN=1100.0, MOT_PWM_MAX=1900.0))
+    plain = read(write())
+    assert found.motor_corners == ("front-right", "rear-right", "rear-left", "front-left")
+    expected = np.maximum((1000.0 * not_none(plain.motor_command) - 100.0) / 800.0, 0.0)
+    np.testing.assert_allclose(not_none(found.motor_command), expected, atol=1e-9)
+
+
+@pytest.mark.parametrize("parameters", [{"FRAME_CLASS": 2.0}, {"FRAME_TYPE": 0.0}])
+def test_frame_that_is_no_quadrotor_in_x_is_refused(write: Write, parameters: dict[str, float]) -> None:
+    with pytest.raises(ImportFormatError, match=r"flight\.bin: FRAME_CLASS .* FRAME_TYPE"):
+        read(write(**parameters))
+
+
+def test_log_without_positions_names_the_messages(tmp_path: Path, made_up: Any) -> None:
+    path = tmp_path / "flight.bin"
+    path.write_bytes(definitions() + packed("ATT", 1, 0.0, 0.0, 0.0) + packed("ATT", 2, 0.0, 0.0, 0.0))
+    with pytest.raises(ImportFormatError, match="no topic XKF1 or NKF1 or EKF1"):
+        read(path)
+
+
+def test_truncated_log_gives_what_is_whole(tmp_path: Path, write: Write) -> None:
+    whole = write().read_bytes()
+    path = tmp_path / "cut.bin"
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    assert 0.6 * 13e6 < read(path).pose_us[-1] < 0.9 * 13e6
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
+@given(at=st.floats(0.0, 1.0), junk=st.binary(max_size=40), length=st.floats(0.0, 1.0))
+def test_damaged_log_is_refused_or_read(
+    tmp_path: Path, made_up: Any, at: float, junk: bytes, length: float
+) -> None:
+    whole = log_bytes(made_up, {"FRAME_TYPE": 1.0}, rows=10)
+    k = int(at * len(whole))
+    data = whole[:k] + junk + whole[k + len(junk) :]
+    path = tmp_path / "hurt.bin"
+    path.write_bytes(data[: int(length * len(data))])
+    try:
+        read(path)
+    except ImportFormatError as error:
+        assert "hurt.bin" in str(error)  # noqa: PT017 (either outcome is good)

@@ -1,0 +1,168 @@
+"""ULog files, packed here message by message and read by pyulog."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from tests.narrowing import not_none
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.formats import recognise, ulog
+from trimtab.host.imports.formats.ulog import read
+
+pytest.importorskip("pyulog", reason="pyulog is not installed; pip install 'trimtab[logs]'")
+
+FLIGHTS = Path(__file__).parents[5] / "shared" / "data"
+START_US = 5_000_000
+
+
+def message(kind: str, body: bytes) -> bytes:
+    return struct.pack("<HB", len(body), ord(kind)) + body
+
+
+def ulog_bytes(
+    topics: Mapping[str, tuple[Sequence[str], np.ndarray, np.ndarray]], parameters: Mapping[str, float]
+) -> bytes:
+    """Topics as fields, times in us and values; parameters as floats."""
+    data = ulog.MAGIC + b"\x01" + struct.pack("<Q", START_US)
+    data += message("B", b"\0" * 40)
+    for name, (fields, _, _) in topics.items():
+        arrays = [field for field in fields if "[" not in field]
+        arrays += [f for f in dict.fromkeys(field.partition("[")[0] for field in fields if "[" in field)]
+        counts = {a: sum(field.startswith(a + "[") for field in fields) for a in arrays}
+        layout = ";".join(f"float[{counts[a]}] {a}" if counts[a] else f"float {a}" for a in arrays)
+        data += message("F", f"{name}:uint64_t timestamp;{layout};".encode())
+    for key, value in parameters.items():
+        text = f"float {key}".encode()
+        data += message("P", bytes([len(text)]) + text + struct.pack("<f", value))
+    records = []
+    for k, (name, (_, t_us, values)) in enumerate(topics.items()):
+        data += message("A", struct.pack("<BH", 0, k) + name.encode())
+        for t, row in zip(t_us.tolist(), values.tolist(), strict=True):
+            records.append((t, struct.pack(f"<HQ{len(row)}f", k, t, *row)))
+    return data + b"".join(message("D", body) for _, body in sorted(records, key=lambda r: r[0]))
+
+
+@pytest.fixture
+def topics(made_up: Any) -> dict[str, tuple[Sequence[str], np.ndarray, np.ndarray]]:
+    t_us = START_US + np.round(1e6 * made_up.t).astype(int)
+    q = made_up.turn.as_quat(scalar_first=True)
+
+    def array(name: str, count: int) -> list[str]:
+        return [f"{name}[{k}]" for k in range(count)]
+
+    sensors = np.column_stack([made_up.gyro, made_up.force])
+    # PX4 counts front right, rear left, front left, rear right; the flight clockwise from the first.
+    motors = made_up.motor[:, [0, 2, 3, 1]]
+    return {
+        "vehicle_local_position": (["x", "y", "z"], t_us[::4], made_up.p[::4]),
+        "vehicle_attitude": (array("q", 4), t_us[1::2], q[1::2]),
+        "sensor_combined": ([*array("gyro_rad", 3), *array("accelerometer_m_s2", 3)], t_us, sensors),
+        "actuator_motors": (array("control", 4), t_us, motors),
+        "battery_status": (["voltage_v"], t_us[::50], made_up.volt[::50, None]),
+    }
+
+
+def test_ulog_flight_is_read_at_the_rates_of_its_topics(tmp_path: Path, made_up: Any, topics: Any) -> None:
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog_bytes(topics, {}))
+    assert recognise(path) == "ulog"
+    found = read(path)
+    np.testing.assert_array_equal(found.pose_us, np.round(1e6 * made_up.t[::4]))
+    np.testing.assert_allclose(found.p_ned, made_up.p[::4], atol=1e-6)
+    apart = Rotation.from_quat(found.q_ned_frd, scalar_first=True).inv() * made_up.turn[::4]
+    assert apart.magnitude()[1:].max() < 4e-3  # between the attitudes beside it
+    np.testing.assert_allclose(not_none(found.gyro), made_up.gyro, atol=1e-5)
+    np.testing.assert_allclose(not_none(found.specific_force), made_up.force, atol=1e-5)
+    order = [
+        ("front-right", "rear-right", "rear-left", "front-left").index(c)
+        for c in not_none(found.motor_corners)
+    ]
+    np.testing.assert_allclose(not_none(found.motor_command), made_up.motor[:, order], atol=1e-6)
+    held = ulog.contents(path)
+    rates = {topic.name: topic.rate_hz for topic in held.topics}
+    assert rates["vehicle_local_position"] == pytest.approx(25.0)
+    assert rates["sensor_combined"] == pytest.approx(100.0)
+
+
+def test_pulses_are_scaled_by_the_vehicles_own_range_and_motors_placed_by_its_parameters(
+    tmp_path: Path, made_up: Any, topics: Any
+) -> None:
+    fields, t_us, commands = topics.pop("actuator_motors")
+    fields = [field.replace("control", "output") for field in fields]
+    topics["actuator_outputs"] = (fields, t_us, 1100.0 + 800.0 * commands)
+    corners = {"front-right": (1, 1), "rear-right": (-1, 1), "rear-left": (-1, -1), "front-left": (1, -1)}
+    order = ("rear-right", "front-right", "rear-left", "front-left")
+    places = {
+        f"CA_ROTOR{k}_P{axis}": float(corners[c][i])
+        for k, c in enumerate(order)
+        for i, axis in enumerate("XY")
+    }
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog_bytes(topics, {"PWM_MIN": 1100.0, "PWM_MAX": 1900.0, **places}))
+    found = read(path)
+    assert found.motor_corners == order
+    np.testing.assert_allclose(not_none(found.motor_command), commands, atol=1e-6)
+
+
+def test_motion_capture_is_preferred_to_the_estimator(tmp_path: Path, made_up: Any, topics: Any) -> None:
+    t_us = START_US + np.round(1e6 * made_up.t).astype(int)
+    q = made_up.turn.as_quat(scalar_first=True)
+    fields = [*(f"position[{k}]" for k in range(3)), *(f"q[{k}]" for k in range(4))]
+    topics["vehicle_mocap_odometry"] = (fields, t_us, np.column_stack([made_up.p + 1.0, q]))
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog_bytes(topics, {}))
+    np.testing.assert_allclose(read(path).p_ned, made_up.p + 1.0, atol=1e-6)
+
+
+def test_topics_that_are_missing_are_named(tmp_path: Path, topics: Any) -> None:
+    path = tmp_path / "flight.ulg"
+    del topics["vehicle_local_position"]
+    path.write_bytes(ulog_bytes(topics, {}))
+    with pytest.raises(
+        ImportFormatError, match=r"no topic vehicle_mocap_odometry or .*vehicle_local_position"
+    ):
+        read(path)
+    assert {topic.name for topic in ulog.contents(path).topics} == set(topics)
+
+
+def test_truncated_file_gives_what_is_whole(tmp_path: Path, topics: Any) -> None:
+    whole = ulog_bytes(topics, {})
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(whole[: len(whole) * 3 // 4])
+    found = read(path)
+    assert 0.6 * 13e6 < found.pose_us[-1] < 0.9 * 13e6
+
+
+@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@given(at=st.floats(0.0, 1.0), junk=st.binary(max_size=40), length=st.floats(0.0, 1.0))
+def test_damaged_ulog_is_refused_or_read(
+    tmp_path: Path, topics: Any, at: float, junk: bytes, length: float
+) -> None:
+    small = {name: (fields, t_us[:8], values[:8]) for name, (fields, t_us, values) in topics.items()}
+    whole = ulog_bytes(small, {"PWM_MIN": 1000.0})
+    k = int(at * len(whole))
+    data = whole[:k] + junk + whole[k + len(junk) :]
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(ulog.MAGIC + data[len(ulog.MAGIC) : max(8, int(length * len(data)))])
+    try:
+        read(path)
+    except ImportFormatError as error:
+        assert str(error).startswith("flight.ulg: ")  # noqa: PT017 (either outcome is good)
+
+
+def test_recorded_ulog_of_others_tells_that_its_motors_never_ran(
+    require: Callable[[str], None],
+) -> None:
+    require("flights")
+    for name in ("sample.ulg", "sample_appended_multiple.ulg"):
+        found = read(FLIGHTS / "px4" / name)
+        assert not_none(found.motor_command).max() == 0.0
