@@ -30,10 +30,11 @@ def invisible_effects(
     """Return the reason, by effect, for each effect that the recording cannot show."""
     words = unknown_words(recording, motor_lag_s)
     signals = {"voltage_ratio": recording.battery_v, "gyro": recording.gyro}
+    titles = {"voltage_ratio": "battery voltage", "gyro": "gyro"}
     reasons = {}
     for name, effect in effects.items():
         replaced = [word for word in words if word in effect.replaced_by]
-        absent = [signal for signal in effect.needs_signals if signals[signal] is None]
+        absent = [titles[signal] for signal in effect.needs_signals if signals[signal] is None]
         if replaced and not set(words) & set(effect.freed_by):
             reasons[name] = f"{', '.join(replaced)} unknown"
         elif absent:

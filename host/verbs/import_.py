@@ -20,6 +20,22 @@ if TYPE_CHECKING:
 
 
 @dataclass(frozen=True, kw_only=True)
+class _Given:
+    """A foreign file, its format, and the map that belongs to it."""
+
+    name: FormatName
+    path: Path
+    columns: Path | None
+    topics: Path | None
+
+    def read(self) -> Recording:
+        """Return the recording. Raises ImportFormatError for the file, ConfigurationError for the map."""
+        from trimtab.host.imports.formats import read
+
+        return read(self.name, self.path, self.columns, self.topics)
+
+
+@dataclass(frozen=True, kw_only=True)
 class _Written:
     """A log that was written: its flight, its messages by topic, what was cut, and what does not fit."""
 
@@ -33,6 +49,7 @@ def command(
     *words: Annotated[str, Parameter(name="[FORMAT] FILE", show_default=False)],
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     columns: Path | None = None,
+    topics: Path | None = None,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     scrub: bool = False,
     workspace: WorkspaceFolder = None,
@@ -49,6 +66,8 @@ def command(
         Flight log to write. Without it, nothing is converted.
     columns
         TOML file that gives the meaning of each column. For csv.
+    topics
+        TOML file that names the topics to read. For rosbag.
     vehicle
         Vehicle that flew: its file, by name or path. It has no default, because it decides the result.
     scrub
@@ -62,13 +81,16 @@ def command(
     recognised = len(words) == 1
     if columns is not None and name != "csv":
         raise UsageError(f"--columns is for csv, and {path.name} is {name}")
+    if topics is not None and name != "rosbag":
+        raise UsageError(f"--topics is for rosbag, and {path.name} is {name}")
+    given = _Given(name=name, path=path, columns=columns, topics=topics)
     if output is None:
-        emit({"format": name, "recognised": recognised, **_look(name, path, columns)}, json)
+        emit({"format": name, "recognised": recognised, **_look(given)}, json)
         return
     if name == "csv" and columns is None:
         raise UsageError("the csv format needs --columns MAP.toml")
     artefacts.check_log(output, force)
-    answer = _convert(name, path, columns, output, vehicle, workspace, scrub)
+    answer = _convert(given, output, vehicle, workspace, scrub)
     emit({"format": name, "recognised": recognised, **answer}, json)
 
 
@@ -88,26 +110,26 @@ def _format_and_file(words: tuple[str, ...]) -> tuple[FormatName, Path]:
     raise UsageError(f"{words[0]}: not a format; give one of {', '.join(FORMATS)}")
 
 
-def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
+def _look(given: _Given) -> dict[str, Any]:
     """Print what the file holds, and return it."""
     from trimtab.host.base.output import say
     from trimtab.host.imports.airborne import airborne
-    from trimtab.host.imports.formats import LOGGING_PROFILES, module, read
+    from trimtab.host.imports.formats import LOGGING_PROFILES, module
     from trimtab.host.imports.plausible import consistent_span
     from trimtab.host.imports.recording import ImportFormatError
 
-    held = module(name).contents(path)
-    say(f"{path.name}: {name}, {held.duration_s:.1f} s, {len(held.topics)} topics")
+    held = module(given.name).contents(given.path)
+    say(f"{given.path.name}: {given.name}, {held.duration_s:.1f} s, {len(held.topics)} topics")
     for topic in held.topics:
         say(f"  {topic.name}  {topic.count} samples" + (f", {topic.rate_hz:.1f} Hz" if topic.rate_hz else ""))
     for note in held.notes:
         say(f"note: {note}")
     recording, problem = None, None
-    if name == "csv" and columns is None:
+    if given.name == "csv" and given.columns is None:
         problem = "a CSV file needs a column map: give it with --columns MAP.toml"
     else:
         try:
-            recording = read(name, path, columns)
+            recording = given.read()
             _, cut = consistent_span(recording, airborne(recording))
             recording = replace(recording, cut=(*recording.cut, *cut))
         except ImportFormatError as error:
@@ -115,7 +137,7 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
     if problem is not None:
         say(f"cannot be imported: {problem}")
     answer = {"topics": _topics(held), "log": None, "problem": problem, **_shown(recording)}
-    profile = LOGGING_PROFILES.get(name)
+    profile = LOGGING_PROFILES.get(given.name)
     if profile is not None and (problem is not None or answer["invisible_effects"]):
         say(f"to show more, log with {profile}")
     if problem is None:
@@ -124,29 +146,23 @@ def _look(name: FormatName, path: Path, columns: Path | None) -> dict[str, Any]:
 
 
 def _convert(
-    name: FormatName,
-    path: Path,
-    columns: Path | None,
-    output: Path,
-    vehicle: str | None,
-    workspace: Path | None,
-    scrub: bool,
+    given: _Given, output: Path, vehicle: str | None, workspace: Path | None, scrub: bool
 ) -> dict[str, Any]:
     """Write the flight log, print what it holds, and return that."""
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import say, warn
-    from trimtab.host.imports.formats import module, read
+    from trimtab.host.imports.formats import module
     from trimtab.host.imports.scrub import SOURCE, scrubbed
     from trimtab.host.workspace import open_workspace
 
     airframe = _vehicle(open_workspace(workspace), vehicle)
-    recording = read(name, path, columns)
+    recording = given.read()
     provenance = {"version": artefacts.version()}
     if scrub:
         recording, airframe = scrubbed(recording), airframe.replace(name=SOURCE)
     else:
-        provenance |= _origin(path, columns)
-    written = _write(recording, airframe, output, name, provenance)
+        provenance |= _origin(given)
+    written = _write(recording, airframe, output, given.name, provenance)
     flight = written.flight
     mass = f", {recording.mass_kg:g} kg as declared" if recording.mass_kg is not None else ""
     say(
@@ -156,7 +172,7 @@ def _convert(
     for line in written.differing:
         warn(line)
     return {
-        "topics": _topics(module(name).contents(path)),
+        "topics": _topics(module(given.name).contents(given.path)),
         "log": str(output),
         "problem": None,
         "vehicle": flight.vehicle.name,
@@ -168,15 +184,18 @@ def _convert(
     }
 
 
-def _origin(path: Path, columns: Path | None) -> dict[str, str]:
-    """Return what tells where a log comes from: the command, and ids of the source and of the column map."""
+def _origin(given: _Given) -> dict[str, str]:
+    """Return what tells where a log comes from: the command, and ids of the source and of its map."""
     import sys
 
     from trimtab.host.base import artefacts
 
     words = artefacts.without_options(sys.argv[1:], ("-o", "--output"), ("--json", "--force"))
-    origin = {"command": artefacts.public_command(words), "source_id": artefacts.content_id_of(path)}
-    return origin if columns is None else {**origin, "columns_id": artefacts.content_id(columns.read_bytes())}
+    origin = {"command": artefacts.public_command(words), "source_id": artefacts.content_id_of(given.path)}
+    for key, path in (("columns_id", given.columns), ("topics_id", given.topics)):
+        if path is not None:
+            origin[key] = artefacts.content_id(path.read_bytes())
+    return origin
 
 
 def _topics(held: Contents) -> list[dict[str, Any]]:

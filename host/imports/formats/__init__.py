@@ -53,18 +53,25 @@ def recognise(path: Path) -> FormatName:
     raise ImportFormatError(f"{path.name}: none of the formats {', '.join(FORMATS)}; convert it to CSV")
 
 
-def read(name: FormatName, path: Path, columns: Path | None = None) -> Recording:
-    """Return the recording at `path`; `columns` is the column map, for csv only.
+def read(name: FormatName, path: Path, columns: Path | None = None, topics: Path | None = None) -> Recording:
+    """Return the recording at `path`; `columns` is csv's column map, `topics` a topic map for a rosbag.
 
-    Raises ImportFormatError (exit code 5) for the log, ConfigurationError (2) for the map, and ValueError if
-    csv has no map or another format has one.
+    Raises ImportFormatError (exit code 5) for the log, ConfigurationError (2) for a map, and ValueError if
+    csv has no column map or another format has a map that is not its own.
     """
     if (name == "csv") != (columns is not None):
         raise ValueError(f"csv needs a column map and no other format takes one, got {name}")
+    if topics is not None and name != "rosbag":
+        raise ValueError(f"only a rosbag takes a topic map, got {name}")
     if columns is not None:
         from trimtab.host.imports.formats.csv import read as read_csv
 
         return read_csv(path, columns)
+    if topics is not None:
+        from trimtab.host.imports.formats.rosbag import read as read_bag
+        from trimtab.host.imports.formats.rosbag import read_map
+
+        return read_bag(path, read_map(topics))
     return module(name).read(path)
 
 

@@ -9,11 +9,12 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Literal, get_args
+from typing import Annotated, Any, Literal, get_args
 
 import numpy as np
+from pydantic import Field, model_validator
 
 from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.extras import optional
@@ -29,6 +30,8 @@ from trimtab.host.imports.recording import (
     fresh,
 )
 from trimtab.host.imports.tracks import Track, turns_at
+from trimtab.host.vehicle.files import read_text
+from trimtab.host.vehicle.strict_toml import Strict, read_strict
 
 Quantity = Literal["pose", "position", "attitude", "imu", "motors", "voltage", "reference"]
 
@@ -43,6 +46,41 @@ STAMPED_US = 1_000_000
 
 _SIMILAR = 0.5
 """Two topics with message counts closer than this ratio may both be the vehicle."""
+
+
+class TopicMap(Strict):
+    """Topics of a bag to read instead of the guessed ones, and what their types do not tell."""
+
+    pose: str | None = None
+    position: str | None = None
+    attitude: str | None = None
+    imu: str | None = None
+    motors: str | None = None
+    voltage: str | None = None
+    reference: str | None = None
+    world: World | None = None
+    """Axes of positions, instead of those of the type."""
+    body: Body | None = None
+    """Axes of the body, instead of those of the type."""
+    motor_command_full: Annotated[float, Field(gt=0.0)] = 1.0
+    """Value of a full motor command."""
+    motor_command_zero: float = 0.0
+    """Value of no motor command."""
+
+    @model_validator(mode="after")
+    def _has_a_range(self) -> TopicMap:
+        if not self.motor_command_zero < self.motor_command_full:
+            raise ValueError("motor_command_zero has to be below motor_command_full")
+        return self
+
+    def topic(self, quantity: Quantity) -> str | None:
+        """Return the topic that is given for a quantity; None for a guess."""
+        given: str | None = getattr(self, quantity)
+        return given
+
+
+GUESSED = TopicMap()
+"""A map that gives nothing."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -124,11 +162,16 @@ def contents(path: Path) -> Contents:
         )
 
 
-def read(path: Path | str) -> Recording:
+def read_map(path: Path | str) -> TopicMap:
+    """Return the topic map in a TOML file. Raises ConfigurationError (exit code 2) with every problem."""
+    return read_strict(read_text(path), Path(path).name, TopicMap)
+
+
+def read(path: Path | str, topics: TopicMap = GUESSED) -> Recording:
     """Return the flight in a bag. Raises ImportFormatError with the file, the problem and the remedy."""
     path = Path(path)
     with _Bag(path) as bag:
-        streams = bag.streams()
+        streams = bag.streams(topics)
     if not {"pose"} <= set(streams) and not {"position", "attitude"} <= set(streams):
         types = ", ".join(name for name, kind in KINDS.items() if kind.quantity in ("pose", "position"))
         raise ImportFormatError(f"{path.name}: no topic with poses; record one of {types}")
@@ -145,7 +188,7 @@ def read(path: Path | str) -> Recording:
         p_ned=p_ned,
         q_ned_frd=q,
         input_us=None if motors is None else motors.t_us,
-        motor_command=None if motors is None else np.maximum(motors.values, 0.0),
+        motor_command=None if motors is None else _share(motors.values, topics),
         motor_corners=None if motors is None else streams["motors"].kind.corners,
         imu_us=None if imu is None else imu.t_us,
         gyro=None if imu is None else to_frd(imu.values[:, :3], streams["imu"].kind.body),
@@ -211,9 +254,9 @@ class _Bag:
     def __exit__(self, *_: object) -> None:
         self._reader.close()
 
-    def streams(self) -> dict[Quantity, _Stream]:
+    def streams(self, topics: TopicMap) -> dict[Quantity, _Stream]:
         """Return the values of each quantity that the bag holds."""
-        chosen = self._chosen()
+        chosen = self._chosen(topics)
         stamps = {c.id: array("q") for c in chosen.values()}
         received = {c.id: array("q") for c in chosen.values()}
         values = {c.id: array("d") for c in chosen.values()}
@@ -230,11 +273,16 @@ class _Bag:
             count = len(received[c.id])
             track = _track(stamps[c.id], received[c.id], values[c.id]) if count > 1 else None
             if track is not None and len(track.t_us) > 1:
-                streams[quantity] = _Stream(kind=KINDS[c.msgtype], track=track)
+                kind = KINDS[c.msgtype]
+                axes = {"world": topics.world or kind.world, "body": topics.body or kind.body}
+                streams[quantity] = _Stream(kind=replace(kind, **axes), track=track)
         return streams
 
-    def _chosen(self) -> dict[Quantity, Any]:
-        """Return the topic of each quantity. Raises ImportFormatError if two may be the vehicle's pose."""
+    def _chosen(self, topics: TopicMap) -> dict[Quantity, Any]:
+        """Return the topic of each quantity.
+
+        Raises ImportFormatError if two may be the vehicle's pose, or if a given one is missing.
+        """
         chosen: dict[Quantity, Any] = {}
         order = list(KINDS)
         for quantity in QUANTITIES:
@@ -243,6 +291,13 @@ class _Bag:
                 for c in self.connections
                 if c.msgcount and c.msgtype in KINDS and KINDS[c.msgtype].quantity == quantity
             ]
+            given = topics.topic(quantity)
+            if given is not None:
+                able = [c for c in able if c.topic == given]
+                if not able:
+                    raise ImportFormatError(
+                        f"{self._name}: no topic {given} with messages for {quantity}; correct the topic map"
+                    )
             able.sort(key=lambda c: (order.index(c.msgtype), -c.msgcount, c.topic))
             if not able:
                 continue
@@ -252,7 +307,7 @@ class _Bag:
             ]
             if quantity == "pose" and rivals:
                 names = ", ".join(c.topic for c in (first, *rivals))
-                raise ImportFormatError(f"{self._name}: several vehicles ({names}); filter the bag to one")
+                raise ImportFormatError(f"{self._name}: several vehicles ({names}); name one in a topic map")
             chosen[quantity] = first
         return chosen
 
@@ -261,6 +316,12 @@ class _Bag:
         return ImportFormatError(
             f"{self._name}: not a whole bag ({type(error).__name__}); repair it with the tools of ROS"
         )
+
+
+def _share(values: np.ndarray, topics: TopicMap) -> np.ndarray:
+    """Return motor commands (n, 4) as shares of the full command; a stopped motor may be below none."""
+    zero, full = topics.motor_command_zero, topics.motor_command_full
+    return np.maximum((values - zero) / (full - zero), 0.0)
 
 
 def _stamp_us(message: Any) -> int:

@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats import recognise, rosbag
-from trimtab.host.imports.formats.rosbag import read
+from trimtab.host.imports.formats.rosbag import read, read_map
+from trimtab.host.vehicle import ConfigurationError
 
 rosbag1 = pytest.importorskip(
     "rosbags.rosbag1", reason="rosbags is not installed; pip install 'trimtab[logs]'"
@@ -124,6 +125,30 @@ def test_mcap_file_alone_is_a_bag(bag: Bag, made_up: Any) -> None:
 def test_two_vehicles_in_one_bag_are_named(bag: Bag) -> None:
     with pytest.raises(ImportFormatError, match=r"flight: several vehicles \(/cf0/pose, /cf1/pose\)"):
         read(bag("sqlite3", vehicles=2))
+
+
+def test_topic_map_chooses_the_vehicle_and_the_axes(bag: Bag, made_up: Any, tmp_path: Path) -> None:
+    path, chosen = bag("sqlite3", vehicles=2), tmp_path / "map.toml"
+    chosen.write_text('pose = "/cf1/pose"\nworld = "enu"\n')
+    found = read(path, read_map(chosen))
+    # The file's axes are nwu: read as enu, west counts as north.
+    np.testing.assert_allclose(found.p_ned, made_up.p[::2] @ [[0, 1, 0], [-1, 0, 0], [0, 0, 1]], atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ('pose = "/cf7/pose"', "no topic /cf7/pose with messages for pose"),
+        ('pose = "/cf0/imu"', "no topic /cf0/imu with messages for pose"),
+        ('poses = "/cf0/pose"', "poses: unknown key"),
+        ("motor_command_full = 0.5\nmotor_command_zero = 1", "motor_command_zero has to be below"),
+    ],
+)
+def test_topic_map_that_does_not_fit_is_refused(bag: Bag, tmp_path: Path, text: str, said: str) -> None:
+    chosen = tmp_path / "map.toml"
+    chosen.write_text(text)
+    with pytest.raises((ImportFormatError, ConfigurationError), match=said):
+        read(bag("sqlite3"), read_map(chosen))
 
 
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture], deadline=None)
