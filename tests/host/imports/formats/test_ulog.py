@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import struct
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -13,6 +12,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
+from tests.foreign.ulog import START_US, Topics, topics_of, ulog_bytes
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats import recognise, ulog
@@ -21,54 +21,11 @@ from trimtab.host.imports.formats.ulog import read
 pytest.importorskip("pyulog", reason="pyulog is not installed; pip install 'trimtab[logs]'")
 
 FLIGHTS = Path(__file__).parents[5] / "shared" / "data"
-START_US = 5_000_000
-
-
-def message(kind: str, body: bytes) -> bytes:
-    return struct.pack("<HB", len(body), ord(kind)) + body
-
-
-def ulog_bytes(
-    topics: Mapping[str, tuple[Sequence[str], np.ndarray, np.ndarray]], parameters: Mapping[str, float]
-) -> bytes:
-    """Topics as fields, times in us and values; parameters as floats."""
-    data = ulog.MAGIC + b"\x01" + struct.pack("<Q", START_US)
-    data += message("B", b"\0" * 40)
-    for name, (fields, _, _) in topics.items():
-        arrays = [field for field in fields if "[" not in field]
-        arrays += [f for f in dict.fromkeys(field.partition("[")[0] for field in fields if "[" in field)]
-        counts = {a: sum(field.startswith(a + "[") for field in fields) for a in arrays}
-        layout = ";".join(f"float[{counts[a]}] {a}" if counts[a] else f"float {a}" for a in arrays)
-        data += message("F", f"{name}:uint64_t timestamp;{layout};".encode())
-    for key, value in parameters.items():
-        text = f"float {key}".encode()
-        data += message("P", bytes([len(text)]) + text + struct.pack("<f", value))
-    records = []
-    for k, (name, (_, t_us, values)) in enumerate(topics.items()):
-        data += message("A", struct.pack("<BH", 0, k) + name.encode())
-        for t, row in zip(t_us.tolist(), values.tolist(), strict=True):
-            records.append((t, struct.pack(f"<HQ{len(row)}f", k, t, *row)))
-    return data + b"".join(message("D", body) for _, body in sorted(records, key=lambda r: r[0]))
 
 
 @pytest.fixture
-def topics(made_up: Any) -> dict[str, tuple[Sequence[str], np.ndarray, np.ndarray]]:
-    t_us = START_US + np.round(1e6 * made_up.t).astype(int)
-    q = made_up.turn.as_quat(scalar_first=True)
-
-    def array(name: str, count: int) -> list[str]:
-        return [f"{name}[{k}]" for k in range(count)]
-
-    sensors = np.column_stack([made_up.gyro, made_up.force])
-    # PX4 counts front right, rear left, front left, rear right; the flight clockwise from the first.
-    motors = made_up.motor[:, [0, 2, 3, 1]]
-    return {
-        "vehicle_local_position": (["x", "y", "z"], t_us[::4], made_up.p[::4]),
-        "vehicle_attitude": (array("q", 4), t_us[1::2], q[1::2]),
-        "sensor_combined": ([*array("gyro_rad", 3), *array("accelerometer_m_s2", 3)], t_us, sensors),
-        "actuator_motors": (array("control", 4), t_us, motors),
-        "battery_status": (["voltage_v"], t_us[::50], made_up.volt[::50, None]),
-    }
+def topics(made_up: Any) -> Topics:
+    return topics_of(made_up)
 
 
 def test_ulog_flight_is_read_at_the_rates_of_its_topics(tmp_path: Path, made_up: Any, topics: Any) -> None:
