@@ -70,7 +70,8 @@ class TopicLog:
         if not self.has(source):
             raise self.missing([source])
         held = self.topics[source.topic]
-        values = np.column_stack([held.columns[name] for name in source.fields]).astype(float)
+        with np.errstate(invalid="ignore"):  # damaged values; they are left out
+            values = np.column_stack([held.columns[name] for name in source.fields]).astype(float)
         t_us = held.t_us - self.start_us
         sound = (np.abs(values) < READABLE).all(axis=1)
         order = np.argsort(t_us[sound], kind="stable")
