@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from typing import Annotated
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from trimtab.host.log import Flight
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.models.region import Region
 from trimtab.host.trace.data.logs import TraceData
+from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.decide import Decision
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
@@ -110,9 +112,6 @@ def model_of(
         )
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
-    span = round(_SPEED_S / data.dt_s)
-    speed = np.linalg.norm(data.p_ned[:, span:] - data.p_ned[:, :-span], axis=2) / (span * data.dt_s)
-    both_posed = data.pose_weight[:, span:] * data.pose_weight[:, :-span] > 0
     thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
     thrust = np.maximum(thrust.sum(-1), 0.0)
     return Model(
@@ -123,7 +122,7 @@ def model_of(
         covariance=covariance,
         sources={name: space.effects[name].source_id for name in space.parts if name in owners},
         region=Region(
-            speed_max_m_s=float(np.quantile(speed[both_posed], 0.999)),
+            speed_max_m_s=float(np.quantile(_speeds(data), 0.999)),
             tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
             thrust_min_n=float(np.quantile(thrust, 0.001)),
             thrust_max_n=float(np.quantile(thrust, 0.999)),
@@ -131,6 +130,18 @@ def model_of(
         data=tuple(flight.id for flight in flights),
         provenance=dict(provenance or {}),
     )
+
+
+def _speeds(data: Segments) -> Annotated[np.ndarray, "pairs"]:
+    """Return the mean speed from each pose to the first one of its segment that is at least _SPEED_S later."""
+    span = round(_SPEED_S / data.dt_s)
+    speeds = []
+    for p, weight in zip(data.p_ned, data.pose_weight, strict=True):
+        posed = np.flatnonzero(weight > 0)
+        later = np.searchsorted(posed, posed + span)
+        first, second = posed[later < len(posed)], posed[later[later < len(posed)]]
+        speeds.append(np.linalg.norm(p[second] - p[first], axis=1) / ((second - first) * data.dt_s))
+    return np.concatenate(speeds)
 
 
 def assessed(
