@@ -133,7 +133,7 @@ def model_of(
 
 
 def _speeds(data: Segments) -> Annotated[np.ndarray, "pairs"]:
-    """Return the mean speed from each pose to the first one of its segment that is at least _SPEED_S later."""
+    """Return the mean speed from each pose to the first of its segment that is at least _SPEED_S later."""
     span = round(_SPEED_S / data.dt_s)
     speeds = []
     for p, weight in zip(data.p_ned, data.pose_weight, strict=True):

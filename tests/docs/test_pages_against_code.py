@@ -15,7 +15,7 @@ from trimtab.firmware_model.services.ftp import IDLE_US, SESSIONS_MAX
 from trimtab.firmware_model.services.streams import STATION_US, STREAMS
 from trimtab.host.effects import load_effects
 from trimtab.host.imports.airborne import CLEAR_M, EDGE_US, SHORTEST_US
-from trimtab.host.imports.formats import FORMATS, crazyflie_usd, nanobench
+from trimtab.host.imports.formats import FORMATS, crazyflie_usd, nanobench, rosbag
 from trimtab.host.imports.formats.csv import ColumnMap, read_map
 from trimtab.host.imports.recording import Unknown
 from trimtab.host.imports.write import DECLARED_MASS_SIGMA
@@ -105,9 +105,11 @@ def test_imports_page_names_every_key_of_a_column_map(tmp_path: Path) -> None:
     text = text_of("imports.md")
     named = {key for row in table(text, "Column maps") for key in re.findall(r"`([a-z0-9_]+)`", row[0])}
     assert named == set(ColumnMap.model_fields)
-    (example,) = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
-    (tmp_path / "map.toml").write_text(example)
+    columns, topics = re.findall(r"```toml\n(.*?)```", text, flags=re.DOTALL)
+    (tmp_path / "map.toml").write_text(columns)
     assert read_map(tmp_path / "map.toml").motor_command_full == 65535
+    (tmp_path / "map.toml").write_text(topics)
+    assert rosbag.read_map(tmp_path / "map.toml").pose == "/cf1/pose"
 
 
 def test_link_page_budget_adds_up() -> None:
