@@ -162,9 +162,9 @@ def contents(path: Path) -> Contents:
         )
 
 
-def read_map(path: Path | str) -> TopicMap:
+def read_map(path: Path) -> TopicMap:
     """Return the topic map in a TOML file. Raises ConfigurationError (exit code 2) with every problem."""
-    return read_strict(read_text(path), Path(path).name, TopicMap)
+    return read_strict(read_text(path), path.name, TopicMap)
 
 
 def read(path: Path | str, topics: TopicMap = GUESSED) -> Recording:
