@@ -47,6 +47,14 @@ class Cut:
 
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
+SIDES: dict[Corner, tuple[bool, bool]] = {
+    "front-right": (True, True),
+    "rear-right": (False, True),
+    "rear-left": (False, False),
+    "front-left": (True, False),
+}
+"""Whether each corner of a quadrotor is at the front and on the right."""
+
 LONGEST_S = 24 * 3600.0
 LARGEST = 1e6
 """A greater SI value has a wrong unit or is damaged."""

@@ -7,10 +7,11 @@ from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from trimtab.host.imports.contents import Contents, topic
-from trimtab.host.imports.recording import READABLE, ImportFormatError, first_of_equal
-from trimtab.host.imports.tracks import Track
+from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, Unknown, fresh
+from trimtab.host.imports.tracks import Track, sound_track, turns_at
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -20,6 +21,16 @@ class Source:
     topic: str
     fields: tuple[str, ...]
     factor: float = 1.0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Sensors:
+    """Sources of body rate, specific force, voltage and reference position, in order of preference."""
+
+    rate: tuple[Source, ...]
+    force: tuple[Source, ...]
+    voltage: tuple[Source, ...]
+    reference: tuple[Source, ...] = ()
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -72,16 +83,49 @@ class TopicLog:
         held = self.topics[source.topic]
         with np.errstate(invalid="ignore"):  # damaged values; they are left out
             values = np.column_stack([held.columns[name] for name in source.fields]).astype(float)
-        t_us = held.t_us - self.start_us
-        sound = (np.abs(values) < READABLE).all(axis=1)
-        order = np.argsort(t_us[sound], kind="stable")
-        t_us, values = t_us[sound][order], values[sound][order]
-        if len(t_us) < 2:
+        track = sound_track(held.t_us - self.start_us, values)
+        if len(track.t_us) < 2:
             raise ImportFormatError(
                 f"{self.name}: fewer than two finite values of {source.topic}; log it again"
             )
-        keep = first_of_equal(t_us)
-        return Track(t_us=t_us[keep], values=values[keep] * source.factor)
+        return Track(t_us=track.t_us, values=track.values * source.factor)
+
+    def recording(
+        self,
+        *,
+        position: Track,
+        attitude_us: Annotated[np.ndarray, "attitudes"],
+        turn: Rotation,
+        motors: Track | None,
+        corners: tuple[Corner, Corner, Corner, Corner] | None,
+        sensors: Sensors,
+        unknown: tuple[Unknown, ...],
+    ) -> Recording:
+        """Return the flight of an autopilot, whose world is NED and whose body is FRD."""
+        new = fresh(position.values)
+        pose_us = position.t_us[new]
+        rate, force, voltage, reference = (
+            self.first(of) for of in (sensors.rate, sensors.force, sensors.voltage, sensors.reference)
+        )
+        imu = rate or force
+        return Recording(
+            source=self.name,
+            pose_us=pose_us,
+            p_ned=position.values[new],
+            q_ned_frd=turns_at(attitude_us, turn, pose_us).as_quat(scalar_first=True, canonical=True),
+            input_us=None if motors is None else motors.t_us,
+            motor_command=None if motors is None else motors.values,
+            motor_corners=corners,
+            imu_us=None if imu is None else imu.t_us,
+            gyro=None if rate is None or imu is None else rate.at(imu.t_us),
+            specific_force=None if force is None or imu is None else force.at(imu.t_us),
+            battery_us=None if voltage is None else voltage.t_us,
+            battery_v=None if voltage is None else voltage.values[:, 0],
+            reference_us=None if reference is None else reference.t_us,
+            p_ref_ned=None if reference is None else reference.values,
+            epoch_us=self.start_us,
+            unknown=unknown,
+        )
 
     def missing(self, sources: Sequence[Source]) -> ImportFormatError:
         """Return the error that names the topics of every source."""

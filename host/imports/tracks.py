@@ -8,6 +8,8 @@ from typing import Annotated
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
+from trimtab.host.imports.recording import READABLE
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Track:
@@ -19,6 +21,23 @@ class Track:
     def at(self, t_us: Annotated[np.ndarray, "times"]) -> Annotated[np.ndarray, "times columns"]:
         """Return the last values at or before each time; the first values before them all."""
         return self.values[np.maximum(np.searchsorted(self.t_us, t_us, side="right") - 1, 0)]
+
+
+def sound_track(t_us: Annotated[np.ndarray, "rows"], values: Annotated[np.ndarray, "rows columns"]) -> Track:
+    """Return the rows of finite numbers in the order of their times, the first one of each time."""
+    sound = (np.abs(values) < READABLE).all(axis=1)
+    t_us, values = t_us[sound], values[sound]
+    order = np.argsort(t_us, kind="stable")
+    t_us, values = t_us[order], values[order]
+    keep = np.diff(t_us, prepend=t_us[:1] - 1) > 0
+    return Track(t_us=t_us[keep], values=values[keep])
+
+
+def command_shares(
+    values: Annotated[np.ndarray, "rows 4"], zero: float, full: float
+) -> Annotated[np.ndarray, "rows 4"]:
+    """Return motor commands as shares of the full command. A stopped motor may be commanded below zero."""
+    return np.maximum((values - zero) / (full - zero), 0.0)
 
 
 def turns_at(

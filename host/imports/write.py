@@ -9,17 +9,9 @@ import numpy as np
 
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.plausible import consistent_span
-from trimtab.host.imports.recording import Corner, Cut, Recording
+from trimtab.host.imports.recording import SIDES, Cut, Recording
 from trimtab.host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
 from trimtab.host.vehicle import ConfigurationError, Vehicle
-
-_SIDES: dict[Corner, tuple[bool, bool]] = {
-    "front-right": (True, True),
-    "rear-right": (False, True),
-    "rear-left": (False, False),
-    "front-left": (True, False),
-}
-"""Whether each corner of a quadrotor is at the front and on the right."""
 
 DECLARED_MASS_SIGMA = 0.005
 """Relative standard deviation of a mass that a recording declares.
@@ -107,7 +99,7 @@ def _rotor_order(r: Recording, vehicle: Vehicle) -> list[int]:
     """Return the index of the recorded motor for each rotor of the vehicle file."""
     if r.motor_corners is None:
         return [0, 1, 2, 3]
-    recorded = [_SIDES[corner] for corner in r.motor_corners]
+    recorded = [SIDES[corner] for corner in r.motor_corners]
     placed = [(rotor.position_m[0] > 0.0, rotor.position_m[1] > 0.0) for rotor in vehicle.rotors]
     if sorted(placed) != sorted(recorded):
         raise ConfigurationError(

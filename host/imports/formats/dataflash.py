@@ -17,9 +17,9 @@ import numpy as np
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import turn_from_euler
-from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable, fresh
-from trimtab.host.imports.topics import Source, Topic, TopicLog
-from trimtab.host.imports.tracks import Track, turns_at
+from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable
+from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
+from trimtab.host.imports.tracks import Track, command_shares
 
 MARK = b"\xa3\x95\x80"
 """Head of the first message, which defines the format of the messages that define formats."""
@@ -27,9 +27,11 @@ MARK = b"\xa3\x95\x80"
 DEG = np.pi / 180.0
 POSITION = tuple(Source(topic=name, fields=("PN", "PE", "PD")) for name in ("XKF1", "NKF1", "EKF1"))
 ATTITUDE = (Source(topic="ATT", fields=("Roll", "Pitch", "Yaw"), factor=DEG),)
-RATE = (Source(topic="IMU", fields=("GyrX", "GyrY", "GyrZ")),)
-FORCE = (Source(topic="IMU", fields=("AccX", "AccY", "AccZ")),)
-VOLTAGE = (Source(topic="BAT", fields=("Volt",)), Source(topic="CURR", fields=("Volt",)))
+SENSORS = Sensors(
+    rate=(Source(topic="IMU", fields=("GyrX", "GyrY", "GyrZ")),),
+    force=(Source(topic="IMU", fields=("AccX", "AccY", "AccZ")),),
+    voltage=(Source(topic="BAT", fields=("Volt",)), Source(topic="CURR", fields=("Volt",))),
+)
 PULSES = (Source(topic="RCOU", fields=("C1", "C2", "C3", "C4")),)
 INSTANCES = ("I", "Instance", "C")
 """Fields that number sensors or estimators; the first of each is read."""
@@ -66,25 +68,14 @@ def read(path: Path | str) -> Recording:
         raise log.missing(POSITION)
     if attitude is None:
         raise log.missing(ATTITUDE)
-    new = fresh(position.values)
-    pose_us = position.t_us[new]
-    rate, force, voltage = log.first(RATE), log.first(FORCE), log.first(VOLTAGE)
-    imu, motors = rate or force, _motors(log)
-    turn = turn_from_euler(attitude.values)
-    return Recording(
-        source=path.name,
-        pose_us=pose_us,
-        p_ned=position.values[new],
-        q_ned_frd=turns_at(attitude.t_us, turn, pose_us).as_quat(scalar_first=True, canonical=True),
-        input_us=None if motors is None else motors.t_us,
-        motor_command=None if motors is None else motors.values,
-        motor_corners=None if motors is None else _corners(log),
-        imu_us=None if imu is None else imu.t_us,
-        gyro=None if rate is None or imu is None else rate.at(imu.t_us),
-        specific_force=None if force is None or imu is None else force.at(imu.t_us),
-        battery_us=None if voltage is None else voltage.t_us,
-        battery_v=None if voltage is None else voltage.values[:, 0],
-        epoch_us=log.start_us,
+    motors = _motors(log)
+    return log.recording(
+        position=position,
+        attitude_us=attitude.t_us,
+        turn=turn_from_euler(attitude.values),
+        motors=motors,
+        corners=None if motors is None else _corners(log),
+        sensors=SENSORS,
         unknown=UNKNOWN,
     )
 
@@ -100,7 +91,7 @@ def _motors(log: TopicLog) -> Track | None:
         raise ImportFormatError(
             f"{log.name}: MOT_PWM_MIN {low:g} is not below MOT_PWM_MAX {high:g}; correct it"
         )
-    return Track(t_us=pulses.t_us, values=np.maximum((pulses.values - low) / (high - low), 0.0))
+    return Track(t_us=pulses.t_us, values=command_shares(pulses.values, low, high))
 
 
 def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
@@ -117,7 +108,8 @@ def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
 def _log(path: Path) -> TopicLog:
     """Return the messages with quantities, and the parameters."""
     check_readable(path)
-    wanted = {source.topic: () for of in (POSITION, ATTITUDE, RATE, FORCE, VOLTAGE, PULSES) for source in of}
+    quantities = (POSITION, ATTITUDE, SENSORS.rate, SENSORS.force, SENSORS.voltage, PULSES)
+    wanted = dict.fromkeys(source.topic for sources in quantities for source in sources)
     rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]] = {}
     parameters: dict[str, float] = {}
     try:

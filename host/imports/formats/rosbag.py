@@ -22,14 +22,12 @@ from trimtab.host.imports.formats.ulog import CORNERS as PX4_CORNERS
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_quaternion
 from trimtab.host.imports.recording import (
-    READABLE,
     Corner,
     ImportFormatError,
     Recording,
-    first_of_equal,
     fresh,
 )
-from trimtab.host.imports.tracks import Track, turns_at
+from trimtab.host.imports.tracks import Track, command_shares, sound_track, turns_at
 from trimtab.host.vehicle.files import read_text
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 
@@ -188,7 +186,9 @@ def read(path: Path | str, topics: TopicMap = GUESSED) -> Recording:
         p_ned=p_ned,
         q_ned_frd=q,
         input_us=None if motors is None else motors.t_us,
-        motor_command=None if motors is None else _share(motors.values, topics),
+        motor_command=None
+        if motors is None
+        else command_shares(motors.values, topics.motor_command_zero, topics.motor_command_full),
         motor_corners=None if motors is None else streams["motors"].kind.corners,
         imu_us=None if imu is None else imu.t_us,
         gyro=None if imu is None else to_frd(imu.values[:, :3], streams["imu"].kind.body),
@@ -318,12 +318,6 @@ class _Bag:
         )
 
 
-def _share(values: np.ndarray, topics: TopicMap) -> np.ndarray:
-    """Return motor commands (n, 4) as shares of the full command; a stopped motor may be below none."""
-    zero, full = topics.motor_command_zero, topics.motor_command_full
-    return np.maximum((values - zero) / (full - zero), 0.0)
-
-
 def _stamp_us(message: Any) -> int:
     """Return the time that a message states, us; 0 without one."""
     header = getattr(message, "header", None)
@@ -337,10 +331,4 @@ def _track(stamps: array[int], received: array[int], values: array[float]) -> Tr
     stamp_us, at_us = np.array(stamps, dtype=np.int64), np.array(received, dtype=np.int64)
     own = abs(float(np.median(stamp_us - at_us))) < STAMPED_US
     t_us = stamp_us if own else at_us
-    rows = np.array(values).reshape(len(t_us), -1)
-    sound = (np.abs(rows) < READABLE).all(axis=1)
-    t_us, rows = t_us[sound], rows[sound]
-    order = np.argsort(t_us, kind="stable")
-    t_us, rows = t_us[order], rows[order]
-    keep = first_of_equal(t_us) if len(t_us) else np.zeros(0, dtype=bool)
-    return Track(t_us=t_us[keep], values=rows[keep])
+    return sound_track(t_us, np.array(values).reshape(len(t_us), -1))

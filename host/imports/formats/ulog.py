@@ -17,15 +17,15 @@ from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.extras import optional
 from trimtab.host.imports.frames import turn_from_quaternion
 from trimtab.host.imports.recording import (
+    SIDES,
     Corner,
     ImportFormatError,
     Recording,
     Unknown,
     check_readable,
-    fresh,
 )
-from trimtab.host.imports.topics import Source, Topic, TopicLog
-from trimtab.host.imports.tracks import Track, turns_at
+from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
+from trimtab.host.imports.tracks import Track, command_shares
 
 MAGIC = b"ULog\x01\x12\x35"
 UNKNOWN: tuple[Unknown, ...] = (
@@ -58,12 +58,14 @@ ATTITUDE = {
 
 MOTORS = _source("actuator_motors", "control", 4)
 PULSES = _source("actuator_outputs", "output", 4)
-RATE = (_source("sensor_combined", "gyro_rad", 3), _source("vehicle_angular_velocity", "xyz", 3))
-FORCE = (_source("sensor_combined", "accelerometer_m_s2", 3), _source("vehicle_acceleration", "xyz", 3))
-VOLTAGE = (Source(topic="battery_status", fields=("voltage_v",)),)
-REFERENCE = (
-    Source(topic="vehicle_local_position_setpoint", fields=("x", "y", "z")),
-    _source("trajectory_setpoint", "position", 3),
+SENSORS = Sensors(
+    rate=(_source("sensor_combined", "gyro_rad", 3), _source("vehicle_angular_velocity", "xyz", 3)),
+    force=(_source("sensor_combined", "accelerometer_m_s2", 3), _source("vehicle_acceleration", "xyz", 3)),
+    voltage=(Source(topic="battery_status", fields=("voltage_v",)),),
+    reference=(
+        Source(topic="vehicle_local_position_setpoint", fields=("x", "y", "z")),
+        _source("trajectory_setpoint", "position", 3),
+    ),
 )
 
 
@@ -89,26 +91,14 @@ def read(path: Path | str) -> Recording:
         turn = turn_from_quaternion(attitude.values, scalar_first=True)
     except ValueError as error:
         raise ImportFormatError(f"{path.name}: {error}; cut the log before that row") from None
-    new = fresh(position.values)
-    pose_us, p_ned = position.t_us[new], position.values[new]
-    rate, force, voltage, reference = (log.first(of) for of in (RATE, FORCE, VOLTAGE, REFERENCE))
-    imu, motors = rate or force, _motors(log)
-    return Recording(
-        source=path.name,
-        pose_us=pose_us,
-        p_ned=p_ned,
-        q_ned_frd=turns_at(attitude.t_us, turn, pose_us).as_quat(scalar_first=True, canonical=True),
-        input_us=None if motors is None else motors.t_us,
-        motor_command=None if motors is None else motors.values,
-        motor_corners=None if motors is None else _corners(log.parameters),
-        imu_us=None if imu is None else imu.t_us,
-        gyro=None if rate is None or imu is None else rate.at(imu.t_us),
-        specific_force=None if force is None or imu is None else force.at(imu.t_us),
-        battery_us=None if voltage is None else voltage.t_us,
-        battery_v=None if voltage is None else voltage.values[:, 0],
-        reference_us=None if reference is None else reference.t_us,
-        p_ref_ned=None if reference is None else reference.values,
-        epoch_us=log.start_us,
+    motors = _motors(log)
+    return log.recording(
+        position=position,
+        attitude_us=attitude.t_us,
+        turn=turn,
+        motors=motors,
+        corners=None if motors is None else _corners(log.parameters),
+        sensors=SENSORS,
         unknown=UNKNOWN,
     )
 
@@ -116,32 +106,25 @@ def read(path: Path | str) -> Recording:
 def _motors(log: TopicLog) -> Track | None:
     """Return the motor commands in 0..1; None without any."""
     if log.has(MOTORS):
-        commands = log.needed(MOTORS)
+        commands, low, high = log.needed(MOTORS), 0.0, 1.0
     elif log.has(PULSES):
-        pulses = log.needed(PULSES)
+        commands = log.needed(PULSES)
         low = log.parameters.get("PWM_MIN", PWM_MIN_US)
         high = log.parameters.get("PWM_MAX", PWM_MAX_US)
         if not low < high:
             raise ImportFormatError(f"{log.name}: PWM_MIN {low:g} is not below PWM_MAX {high:g}; correct it")
-        commands = Track(t_us=pulses.t_us, values=(pulses.values - low) / (high - low))
     else:
         return None
-    # A disarmed motor is commanded below its least pulse.
-    return Track(t_us=commands.t_us, values=np.maximum(commands.values, 0.0))
+    return Track(t_us=commands.t_us, values=command_shares(commands.values, low, high))
 
 
 def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, Corner]:
     """Return the corners of the motors, from the parameters that place them if there are any."""
-    sides: dict[tuple[bool, bool], Corner] = {
-        (True, True): "front-right",
-        (False, True): "rear-right",
-        (False, False): "rear-left",
-        (True, False): "front-left",
-    }
+    sides = {side: corner for corner, side in SIDES.items()}
     placed = [
         (parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0)) for k in range(4)
     ]
-    corners: list[Corner] = [sides[x > 0.0, y > 0.0] for x, y in placed]
+    corners = [sides[x > 0.0, y > 0.0] for x, y in placed]
     if len(set(corners)) < len(corners):
         return CORNERS
     return corners[0], corners[1], corners[2], corners[3]
