@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Any, Literal, NamedTuple, get_args
 
@@ -309,6 +309,13 @@ class Effect:
         freed = [parameter.key for parameter in self.parameters if parameter.has_free_facts]
         if freed and not self.freed_by:
             raise ValueError(f"effect {self.name}: {freed} have free_* values, but freed_by is empty")
+
+    def replaced(self, unknown: Iterable[str]) -> tuple[str, ...]:
+        """Return the words of `unknown` that take the effect out of the model; none if one frees it."""
+        words = tuple(unknown)
+        if set(words) & set(self.freed_by):
+            return ()
+        return tuple(word for word in words if word in self.replaced_by)
 
     @property
     def keys(self) -> tuple[str, ...]:

@@ -4,6 +4,12 @@ Tracing estimates unknown quantities as nuisances and does not count them as eff
 of these words take it out of the candidates (`Effect.replaced_by`) and which free it (`Effect.freed_by`).
 """
 
+from __future__ import annotations
+
+from typing import Annotated
+
+import numpy as np
+
 THRUST = "thrust"
 THRUST_CURVE = "thrust-curve"
 MOTOR_LAG = "motor-lag"
@@ -30,3 +36,11 @@ UNKNOWN_WITHOUT_INPUTS = frozenset({THRUST, MOTOR_LAG, INERTIA, TORQUE})
 
 UNKNOWN_IF_SLOW = frozenset({MOTOR_LAG, INERTIA, TORQUE})
 """What commands do not determine if their sampling interval is longer than the motor lag."""
+
+
+def undetermined(input_us: Annotated[np.ndarray, "inputs"] | None, motor_lag_s: float) -> frozenset[str]:
+    """Return what recorded motor commands or thrusts at these times do not determine; None for none."""
+    if input_us is None:
+        return UNKNOWN_WITHOUT_INPUTS
+    slow = len(input_us) > 1 and float(np.median(np.diff(input_us))) * 1e-6 > motor_lag_s
+    return UNKNOWN_IF_SLOW if slow else frozenset()

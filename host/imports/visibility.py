@@ -4,10 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-import numpy as np
-
 from trimtab.host.effects import Effect
-from trimtab.host.effects.unknowns import UNKNOWN, UNKNOWN_IF_SLOW, UNKNOWN_WITHOUT_INPUTS
+from trimtab.host.effects.unknowns import UNKNOWN, undetermined
 from trimtab.host.imports.recording import Recording
 
 TYPICAL_LAG_S = 0.05
@@ -16,11 +14,7 @@ TYPICAL_LAG_S = 0.05
 
 def unknown_words(recording: Recording, motor_lag_s: float = TYPICAL_LAG_S) -> tuple[str, ...]:
     """Return what the recording declares unknown, and what its inputs do not determine."""
-    words: set[str] = set(recording.unknown)
-    if recording.input_us is None:
-        words |= UNKNOWN_WITHOUT_INPUTS
-    elif float(np.median(np.diff(recording.input_us))) * 1e-6 > motor_lag_s:
-        words |= UNKNOWN_IF_SLOW
+    words = {*recording.unknown, *undetermined(recording.input_us, motor_lag_s)}
     return tuple(word for word in UNKNOWN if word in words)
 
 
@@ -33,9 +27,9 @@ def invisible_effects(
     titles = {"voltage_ratio": "battery voltage", "gyro": "gyro"}
     reasons = {}
     for name, effect in effects.items():
-        replaced = [word for word in words if word in effect.replaced_by]
         absent = [titles[signal] for signal in effect.needs_signals if signals[signal] is None]
-        if replaced and not set(words) & set(effect.freed_by):
+        replaced = effect.replaced(words)
+        if replaced:
             reasons[name] = f"{', '.join(replaced)} unknown"
         elif absent:
             reasons[name] = f"no {', '.join(absent)}"

@@ -205,7 +205,7 @@ def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str
     if unsupported:
         raise ValueError(f"a log declares {sorted(unsupported)} unknown; it may declare {UNKNOWN}")
     free = [name for name, effect in effects.items() if unknown & set(effect.freed_by)]
-    acting = [name for name in effects if name in free or not unknown & set(effects[name].replaced_by)]
+    acting = [name for name, effect in effects.items() if not effect.replaced(unknown)]
     columns = [
         _column(vehicle, name, p, free=name in free) for name in acting for p in effects[name].parameters
     ]

@@ -9,17 +9,10 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from enum import StrEnum
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
-from trimtab.host.vehicle.fit import (
-    Estimate,
-    ThrustFigures,
-    TorqueFigures,
-)
+from trimtab.host.vehicle.fit import Estimate, ThrustFigures, TorqueFigures
 from trimtab.host.vehicle.model import SPIN_SIGN, Vehicle
-
-if TYPE_CHECKING:
-    pass
 
 AXES = ("roll", "pitch", "yaw")
 

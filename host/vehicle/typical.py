@@ -12,6 +12,8 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
+
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.base.errors import UsageError
 from trimtab.host.vehicle.model import NAME_PATTERN, Rotor
@@ -224,15 +226,8 @@ def _greatest_thrust(facts: Facts, cells: int | float) -> tuple[float, str, floa
 
 def _curve(diameter_m: float) -> float:
     """Return the quadratic part of the thrust curve for a diameter."""
-    (d0, c0), *rest = CURVE_BY_DIAMETER_IN
-    inches = diameter_m / _INCH_M
-    if inches <= d0:
-        return c0
-    for d1, c1 in rest:
-        if inches <= d1:
-            return c0 + (c1 - c0) * (inches - d0) / (d1 - d0)
-        d0, c0 = d1, c1
-    return c0
+    inches, parts = zip(*CURVE_BY_DIAMETER_IN, strict=True)
+    return float(np.interp(diameter_m / _INCH_M, inches, parts))
 
 
 def _head(facts: Facts) -> list[str]:

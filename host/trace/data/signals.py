@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.effects import Effect
 from trimtab.host.effects.effect import Signal
-from trimtab.host.effects.unknowns import TORQUE, UNKNOWN_IF_SLOW, UNKNOWN_WITHOUT_INPUTS
+from trimtab.host.effects.unknowns import TORQUE, undetermined
 from trimtab.host.log import Flight
 from trimtab.host.models.states import States, battery_of, flight_states
 from trimtab.host.trace.decision.findings import Code, LogsRefused
@@ -262,19 +262,15 @@ def averaged(
 def unknowns(flights: Sequence[Flight]) -> frozenset[str]:
     """Return what at least one of the logs declares unknown or does not determine by its recorded inputs."""
     declared = {word for flight in flights for word in flight.metadata.get("unknown", "").split()}
-    if any(without_inputs(flight) for flight in flights):
-        declared |= UNKNOWN_WITHOUT_INPUTS
-    if any(_too_slow(flight) for flight in flights):
-        declared |= UNKNOWN_IF_SLOW
-    return frozenset(declared)
+    return frozenset(declared).union(*(_undetermined(flight) for flight in flights))
 
 
-def _too_slow(flight: Flight) -> bool:
-    """Return whether commands were sampled at intervals longer than the motor lag."""
-    recorded = flight.recorded_inputs
-    if flight.control is not None or recorded is None or len(recorded.t_us) < 2:
-        return False
-    return float(np.median(np.diff(recorded.t_us))) * 1e-6 > flight.vehicle.motor_lag_s
+def _undetermined(flight: Flight) -> frozenset[str]:
+    """Return what the recorded inputs of a flight do not determine; control telemetry determines all."""
+    if flight.control is not None:
+        return frozenset()
+    recorded = None if without_inputs(flight) else flight.recorded_inputs
+    return undetermined(None if recorded is None else recorded.t_us, flight.vehicle.motor_lag_s)
 
 
 def without_inputs(flight: Flight) -> bool:
