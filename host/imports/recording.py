@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal, get_args
@@ -187,12 +189,21 @@ _TRACKS = {
 }
 
 
+@contextmanager
+def reading(path: Path) -> Iterator[None]:
+    """Raise ImportFormatError instead of OSError if the file cannot be read."""
+    try:
+        yield
+    except OSError as error:
+        raise ImportFormatError(
+            f"{path}: cannot be read ({error.strerror or error}); check the path"
+        ) from None
+
+
 def check_readable(path: Path) -> None:
     """Raise ImportFormatError if the file cannot be opened."""
-    try:
+    with reading(path):
         path.open("rb").close()
-    except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
 
 
 def since_first_us(

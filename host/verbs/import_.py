@@ -156,6 +156,7 @@ def _convert(
     from trimtab.host.workspace import open_workspace
 
     airframe = _vehicle(open_workspace(workspace), vehicle)
+    topics = _topics(module(given.name).contents(given.path))
     recording = given.read()
     provenance = {"version": artefacts.version()}
     if scrub:
@@ -172,7 +173,7 @@ def _convert(
     for line in written.differing:
         warn(line)
     return {
-        "topics": _topics(module(given.name).contents(given.path)),
+        "topics": topics,
         "log": str(output),
         "problem": None,
         "vehicle": flight.vehicle.name,

@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import Literal, Protocol, cast, get_args
 
 from trimtab.host.imports.contents import Contents
-from trimtab.host.imports.recording import ImportFormatError, Recording
+from trimtab.host.imports.recording import ImportFormatError, Recording, reading
 
 FormatName = Literal["ulog", "dataflash", "rosbag", "betaflight", "crazyflie-usd", "nanobench", "csv"]
 FORMATS: tuple[FormatName, ...] = get_args(FormatName)
@@ -43,10 +43,8 @@ def module(name: FormatName) -> FormatModule:
 
 def recognise(path: Path) -> FormatName:
     """Return the format of a file or folder. Raises ImportFormatError if it has none of them."""
-    try:
+    with reading(path):
         head = b"" if path.is_dir() else _head(path)
-    except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
     for name in FORMATS:
         if module(name).recognises(path, head):
             return name

@@ -27,6 +27,7 @@ from trimtab.host.imports.recording import (
     Unknown,
     first_of_equal,
     fresh,
+    reading,
     since_first_us,
 )
 from trimtab.host.imports.tracks import Track
@@ -97,7 +98,7 @@ def recognises(path: Path, head: bytes) -> bool:
 
 def contents(path: Path) -> Contents:
     """Return the variables of the log with the rates of their event types. Raises ImportFormatError."""
-    events = decode(bytes_of(path), path.name)
+    events = _events(path)
     spans = [
         (float(event.times[-1] - event.times[0]) * event.unit_us * 1e-6 if len(event.times) else 0.0, event)
         for event in events
@@ -113,7 +114,7 @@ def contents(path: Path) -> Contents:
 def read(path: Path | str) -> Recording:
     """Return the flight of a uSD log. Raises ImportFormatError with the file, the problem and the remedy."""
     path = Path(path)
-    log = _Log(decode(bytes_of(path), path.name), path.name)
+    log = _Log(_events(path), path.name)
     position = log.needed(POSITION)
     attitude, turn = _attitude(log, position)
     new = fresh(position.values, attitude)
@@ -159,12 +160,11 @@ def read(path: Path | str) -> Recording:
     )
 
 
-def bytes_of(path: Path) -> bytes:
-    """Return the bytes of a file. Raises ImportFormatError if it cannot be read."""
-    try:
-        return path.read_bytes()
-    except OSError as error:
-        raise ImportFormatError(f"{path}: cannot be read ({error.strerror}); check the path") from None
+def _events(path: Path) -> tuple[Event, ...]:
+    """Return the events of the file. Raises ImportFormatError."""
+    with reading(path):
+        data = path.read_bytes()
+    return decode(data, path.name)
 
 
 def _attitude(log: _Log, position: Track) -> tuple[np.ndarray, Rotation]:

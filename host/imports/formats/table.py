@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import csv
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -12,7 +13,10 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.imports.contents import Contents, topic
-from trimtab.host.imports.recording import READABLE, ImportFormatError
+from trimtab.host.imports.recording import READABLE, ImportFormatError, reading
+
+Reader = Iterator[list[str]]
+"""Rows of cells."""
 
 SKIPPED_MAX = 0.05
 """Greatest share of rows without finite numbers; with more, a column is wrong or has another rate."""
@@ -33,19 +37,22 @@ def table(path: Path, needed: Sequence[str]) -> Table:
     1e30 in every needed column are skipped. Raises ImportFormatError with the file and every missing column,
     or with the first such line and column if there are more than SKIPPED_MAX of them.
     """
+    with _opened(path) as reader:
+        return _table(reader, path.name, tuple(dict.fromkeys(needed)))
+
+
+@contextmanager
+def _opened(path: Path) -> Iterator[Reader]:
+    """Open a CSV file. Raises ImportFormatError for a file that cannot be read or is not CSV."""
     try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            return _table(stream, path.name, tuple(dict.fromkeys(needed)))
+        with reading(path), path.open(newline="", encoding="utf-8-sig") as stream:
+            yield csv.reader(stream)
     except UnicodeDecodeError as error:
         raise ImportFormatError(
             f"{path.name}: not UTF-8 text at byte {error.start}; give a CSV file"
         ) from None
     except csv.Error as error:
         raise ImportFormatError(f"{path.name}: not a CSV file ({error}); give one") from None
-    except OSError as error:
-        raise ImportFormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check the path"
-        ) from None
 
 
 def header(head: bytes) -> tuple[str, ...]:
@@ -58,23 +65,28 @@ def header(head: bytes) -> tuple[str, ...]:
     return tuple(name.strip() for name in names) if len(names) > 1 else ()
 
 
-def table_contents(path: Path, time: str | None = None, unit_s: float = 1.0) -> Contents:
-    """Return each column as a topic. Rates are known if a column of times is named, with its unit in seconds.
+def table_contents(path: Path, time: str | None = None) -> Contents:
+    """Return each column as a topic. Rates are known if a column of times, in seconds, is named.
 
     Raises ImportFormatError as `table` does.
     """
-    names = header(path.read_bytes())
-    rows = table(path, [time] if time is not None else names[:1])
-    times = next(iter(rows.columns.values()))
-    duration_s = float(times[-1] - times[0]) * unit_s if time is not None else 0.0
-    return Contents(
-        topics=tuple(topic(name, len(times), duration_s) for name in names), duration_s=duration_s
-    )
+    with _opened(path) as reader:
+        names = _names(reader)
+        count = sum(map(bool, reader)) if time is None else 0
+    duration_s = 0.0
+    if time is not None:
+        times = table(path, [time]).columns[time]
+        count, duration_s = len(times), float(times[-1] - times[0])
+    return Contents(topics=tuple(topic(name, count, duration_s) for name in names), duration_s=duration_s)
 
 
-def _table(stream: object, name: str, needed: tuple[str, ...]) -> Table:
-    reader = csv.reader(stream)  # type: ignore[arg-type]
-    header = [cell.strip() for cell in next(reader, [])]
+def _names(reader: Reader) -> list[str]:
+    """Return the names in the first line."""
+    return [cell.strip() for cell in next(reader, [])]
+
+
+def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
+    header = _names(reader)
     missing = [column for column in needed if column not in header]
     if missing:
         raise ImportFormatError(f"{name}: no column {', '.join(missing)}; is it another format?")

@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.formats.csv import read, read_map
+from trimtab.host.imports.formats.csv import contents, read, read_map
 from trimtab.host.vehicle import ConfigurationError
 
 LEAST = """
@@ -185,3 +185,14 @@ def test_csv_with_bad_rows_is_refused(tmp_path: Path, foreign: SimpleNamespace, 
         read(foreign.write_csv(tmp_path / "f.csv", wrong), chosen)
     with pytest.raises(ImportFormatError, match="no column px, py, pz, qw"):
         read(foreign.write_csv(tmp_path / "f.csv", {"t": back, "qx": back, "qy": back, "qz": back}), chosen)
+
+
+def test_contents_of_a_table_with_words_are_told(tmp_path: Path) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_text("day,x,y\nmonday,1,2\n\ntuesday,3,4\n")
+    assert [(topic.name, topic.count) for topic in contents(path).topics] == [("day", 2), ("x", 2), ("y", 2)]
+
+
+def test_contents_of_a_missing_file_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(ImportFormatError, match="cannot be read"):
+        contents(tmp_path / "none.csv")
