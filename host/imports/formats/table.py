@@ -8,15 +8,15 @@ from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
 from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError, reading
 
-Reader = Iterator[list[str]]
-"""Rows of cells."""
+if TYPE_CHECKING:
+    from _csv import Reader
 
 SKIPPED_MAX = 0.05
 """Greatest share of rows without finite numbers; with more, a column is wrong or has another rate."""

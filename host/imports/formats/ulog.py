@@ -120,11 +120,11 @@ def _motors(log: TopicLog) -> Track | None:
 
 def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, Corner]:
     """Return the corners of the motors, from the parameters that place them if there are any."""
-    sides = {side: corner for corner, side in SIDES.items()}
+    sides: dict[tuple[bool, bool], Corner] = {side: corner for corner, side in SIDES.items()}
     placed = [
         (parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0)) for k in range(4)
     ]
-    corners = [sides[x > 0.0, y > 0.0] for x, y in placed]
+    corners: list[Corner] = [sides[x > 0.0, y > 0.0] for x, y in placed]
     if len(set(corners)) < len(corners):
         return CORNERS
     return corners[0], corners[1], corners[2], corners[3]
