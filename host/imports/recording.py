@@ -49,14 +49,6 @@ class Cut:
 
 Corner = Literal["front-right", "rear-right", "rear-left", "front-left"]
 
-SIDES: dict[Corner, tuple[bool, bool]] = {
-    "front-right": (True, True),
-    "rear-right": (False, True),
-    "rear-left": (False, False),
-    "front-left": (True, False),
-}
-"""Whether each corner of a quadrotor is at the front and on the right."""
-
 LONGEST_S = 24 * 3600.0
 LARGEST = 1e6
 """A greater SI value has a wrong unit or is damaged."""
@@ -204,6 +196,13 @@ def check_readable(path: Path) -> None:
     """Raise ImportFormatError if the file cannot be opened."""
     with reading(path):
         path.open("rb").close()
+
+
+def corner_of(forward: float, right: float) -> Corner:
+    """Return the corner of a quadrotor in X at which a rotor is, from its place in any unit."""
+    if forward > 0.0:
+        return "front-right" if right > 0.0 else "front-left"
+    return "rear-right" if right > 0.0 else "rear-left"
 
 
 def since_first_us(

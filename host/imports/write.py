@@ -9,7 +9,7 @@ import numpy as np
 
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.plausible import consistent_span
-from trimtab.host.imports.recording import SIDES, Cut, Recording
+from trimtab.host.imports.recording import Cut, Recording, corner_of
 from trimtab.host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
 from trimtab.host.vehicle import ConfigurationError, Vehicle
 
@@ -99,13 +99,12 @@ def _rotor_order(r: Recording, vehicle: Vehicle) -> list[int]:
     """Return the index of the recorded motor for each rotor of the vehicle file."""
     if r.motor_corners is None:
         return [0, 1, 2, 3]
-    recorded = [SIDES[corner] for corner in r.motor_corners]
-    placed = [(rotor.position_m[0] > 0.0, rotor.position_m[1] > 0.0) for rotor in vehicle.rotors]
-    if sorted(placed) != sorted(recorded):
+    placed = [corner_of(*rotor.position_m[:2]) for rotor in vehicle.rotors]
+    if sorted(placed) != sorted(r.motor_corners):
         raise ConfigurationError(
             [
                 f"{vehicle.name}: its rotors are not at the corners as in {r.source}; "
                 "give the recorded vehicle with --vehicle"
             ]
         )
-    return [recorded.index(place) for place in placed]
+    return [r.motor_corners.index(corner) for corner in placed]

@@ -17,9 +17,10 @@ import numpy as np
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import turn_from_euler
-from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable
+from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable, corner_of
 from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
 from trimtab.host.imports.tracks import Track, command_shares
+from trimtab.host.vehicle.dumps import ARDUPILOT_QUADS
 
 MARK = b"\xa3\x95\x80"
 """Head of the first message, which defines the format of the messages that define formats."""
@@ -36,13 +37,8 @@ PULSES = (Source(topic="RCOU", fields=("C1", "C2", "C3", "C4")),)
 INSTANCES = ("I", "Instance", "C")
 """Fields that number sensors or estimators; the first of each is read."""
 
-CORNERS: dict[int, tuple[Corner, Corner, Corner, Corner]] = {
-    1: ("front-right", "rear-left", "front-left", "rear-right"),
-    12: ("rear-right", "front-right", "rear-left", "front-left"),
-    13: ("front-right", "front-left", "rear-left", "rear-right"),
-    14: ("front-right", "rear-right", "rear-left", "front-left"),
-}
-"""Order of the motors by FRAME_TYPE: X, Betaflight's X, DJI's X, clockwise X."""
+FRAME_TYPES = (1, 12, 13, 14)
+"""X, Betaflight's X, DJI's X and clockwise X: the frames that can be imported."""
 
 QUADROTOR = 1
 PWM_MIN_US, PWM_MAX_US = 1000.0, 2000.0
@@ -97,12 +93,14 @@ def _motors(log: TopicLog) -> Track | None:
 def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
     """Return the corners of the motors. Raises ImportFormatError for a frame that is no quadrotor in X."""
     kind, order = log.parameters.get("FRAME_CLASS", QUADROTOR), log.parameters.get("FRAME_TYPE", 1.0)
-    if int(kind) != QUADROTOR or int(order) not in CORNERS:
+    if int(kind) != QUADROTOR or int(order) not in FRAME_TYPES:
         raise ImportFormatError(
             f"{log.name}: FRAME_CLASS {kind:g} with FRAME_TYPE {order:g} is no known quadrotor in X; "
             "only those can be imported"
         )
-    return CORNERS[int(order)]
+    _, angles_deg, _ = ARDUPILOT_QUADS[int(order)]
+    a, b, c, d = (corner_of(np.cos(angle), np.sin(angle)) for angle in np.radians(angles_deg))
+    return a, b, c, d
 
 
 def _log(path: Path) -> TopicLog:

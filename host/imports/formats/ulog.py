@@ -17,12 +17,12 @@ from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.extras import optional
 from trimtab.host.imports.frames import turn_from_quaternion
 from trimtab.host.imports.recording import (
-    SIDES,
     Corner,
     ImportFormatError,
     Recording,
     Unknown,
     check_readable,
+    corner_of,
 )
 from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
 from trimtab.host.imports.tracks import Track, command_shares
@@ -120,11 +120,10 @@ def _motors(log: TopicLog) -> Track | None:
 
 def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, Corner]:
     """Return the corners of the motors, from the parameters that place them if there are any."""
-    sides: dict[tuple[bool, bool], Corner] = {side: corner for corner, side in SIDES.items()}
-    placed = [
-        (parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0)) for k in range(4)
+    corners = [
+        corner_of(parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0))
+        for k in range(4)
     ]
-    corners: list[Corner] = [sides[x > 0.0, y > 0.0] for x, y in placed]
     if len(set(corners)) < len(corners):
         return CORNERS
     return corners[0], corners[1], corners[2], corners[3]
