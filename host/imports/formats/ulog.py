@@ -120,7 +120,7 @@ def _motors(log: TopicLog) -> Track | None:
 
 def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, Corner]:
     """Return the corners of the motors, from the parameters that place them if there are any."""
-    corners = [
+    corners: list[Corner] = [
         corner_of(parameters.get(f"CA_ROTOR{k}_PX", 0.0), parameters.get(f"CA_ROTOR{k}_PY", 0.0))
         for k in range(4)
     ]
