@@ -99,8 +99,9 @@ def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
             "only those can be imported"
         )
     _, angles_deg, _ = ARDUPILOT_QUADS[int(order)]
-    a, b, c, d = (corner_of(np.cos(angle), np.sin(angle)) for angle in np.radians(angles_deg))
-    return a, b, c, d
+    angles = np.radians(angles_deg)
+    corners: list[Corner] = [corner_of(x, y) for x, y in zip(np.cos(angles), np.sin(angles), strict=True)]
+    return corners[0], corners[1], corners[2], corners[3]
 
 
 def _log(path: Path) -> TopicLog:
