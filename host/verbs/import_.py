@@ -156,8 +156,8 @@ def _convert(
     from trimtab.host.workspace import open_workspace
 
     airframe = _vehicle(open_workspace(workspace), vehicle)
-    topics = _topics(module(given.name).contents(given.path))
     recording = given.read()
+    topics = _topics(module(given.name).contents(given.path))
     provenance = {"version": artefacts.version()}
     if scrub:
         recording, airframe = scrubbed(recording), airframe.replace(name=SOURCE)
