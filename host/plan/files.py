@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
 from trimtab.host.base import artefacts
 from trimtab.host.plan.result import Plan
+from trimtab.host.route import Route
 
 SUFFIX = ".ref"
 
@@ -31,9 +33,26 @@ def write_plan(
         "reference": plan.reference.id,
         "vehicle": plan.reference.vehicle_id,
         "provenance": dict(provenance or {}),
+        "route": plan.route.model_dump(mode="json", exclude_none=True),
         "plan": {name: value for name, value in figures(plan).items() if name != "solve_s"},
     }
     return artefacts.write_recorded(path, plan.reference.to_bytes(), record, force)
+
+
+def read_course(path: Path | str, reference_id: str) -> tuple[Route, tuple[float, ...]] | None:
+    """Return the route of the plan in `path` and the times of its waypoints, s, from `NAME.ref.json`.
+
+    None if that file is missing, damaged or of another reference, or holds no route.
+    """
+    try:
+        record = json.loads(artefacts.record_path(Path(path)).read_text(encoding="utf-8"))
+        if record["reference"] != reference_id:
+            return None
+        route = Route.model_validate_json(json.dumps(record["route"]))
+        times_s = tuple(map(float, record["plan"]["waypoint_times_s"]))
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return (route, times_s) if len(times_s) == len(route.waypoints_m) else None
 
 
 def figures(plan: Plan) -> dict[str, Any]:
@@ -45,6 +64,8 @@ def figures(plan: Plan) -> dict[str, Any]:
         "duration_s": plan.duration_s,
         "waypoint_times_s": list(plan.waypoint_times_s),
         "margins": dict(plan.margins),
+        "clearance_m": plan.clearance_m,
+        "predicted_error_max_m": plan.predicted_error_max_m,
         "residual_rms_m_s2": plan.residual_rms_m_s2,
         "outside_region": plan.outside_region,
         "path_length_m": plan.path_length_m,

@@ -8,12 +8,14 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.plan.clearance import predicted_error_max_m
 from trimtab.host.plan.dynamics import Dynamics
-from trimtab.host.plan.judge import Judged, judge, measure, passings
+from trimtab.host.plan.judge import Judged, judge, measure, obstacle_margins, passings
 from trimtab.host.plan.result import Kind, Plan, Settings, label
 from trimtab.host.plan.snap import optimise_durations
 from trimtab.host.plan.table import Table, snap_table
 from trimtab.host.route import Route
+from trimtab.host.route.clearance import has_obstacles
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import BLOB_BYTES_MAX, YawNode
 
@@ -35,10 +37,16 @@ class Effort:
 
 @dataclass(frozen=True, kw_only=True)
 class Job:
-    """A route to plan, with the checked arguments of `plan`. limits: all limits that apply, merged."""
+    """A route to plan, with the checked arguments of `plan`. limits: all limits that apply, merged.
+
+    course: the route as asked for. route: the same with `clearance_m` taken off its gates and added to its
+    keep-out shapes, which is what the path is planned and judged through.
+    """
 
     kind: Kind
+    course: Route
     route: Route
+    clearance_m: float
     dynamics: Dynamics
     limits: Limits
     settings: Settings
@@ -88,7 +96,7 @@ class Job:
         """Return the verdict on a table."""
         route, gates = self.route, passings(self.route, waypoint_times_s)
         vehicle, yaw_rate = self.dynamics.vehicle, self.yaw_rate_max_rad_s
-        return judge(table, yaws, vehicle, self.limits, route.keep_out, gates, yaw_rate)
+        return judge(table, yaws, vehicle, self.limits, route.keep_out, gates, yaw_rate, self.clearance_m)
 
     def finish(
         self, judged: Judged, waypoint_times_s: Annotated[np.ndarray, "waypoints"], effort: Effort
@@ -102,15 +110,19 @@ class Job:
             )
         vehicle, model = self.dynamics.vehicle, self.dynamics.model
         figures = measure(vehicle, model, judged.table, judged.reference.yaw_nodes())
+        gates = passings(self.course, waypoint_times_s)
         return Plan(
             reference=judged.reference,
+            route=self.course,
             kind=self.kind,
             augmented=self.dynamics.augmented,
             status=effort.status,
             duration_s=judged.reference.duration_us * 1e-6,
             waypoint_times_s=tuple(map(float, waypoint_times_s)),
             limits=self.limits,
-            margins=judged.margins,
+            margins={**judged.margins, **obstacle_margins(judged.table, self.course.keep_out, gates)},
+            clearance_m=self.clearance_m if has_obstacles(self.course) else None,
+            predicted_error_max_m=predicted_error_max_m(vehicle, model, judged.reference),
             residual_rms_m_s2=figures.residual_rms_m_s2,
             outside_region=figures.outside_region,
             path_length_m=figures.path_length_m,

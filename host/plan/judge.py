@@ -79,10 +79,12 @@ def judge(
     keep_out: Sequence[Shape],
     gates: Sequence[Passing] = (),
     yaw_rate_max_rad_s: float | None = None,
+    clearance_m: float = 0.0,
 ) -> Judged:
     """Return the verdict on a table as the vehicle reads it, within these limits and those on board.
 
-    yaw_rate_max_rad_s: greatest rate of a free heading.
+    yaw_rate_max_rad_s: greatest rate of a free heading. clearance_m: by how much shapes are grown and gates
+    are shrunk already, for the message.
     """
     reference = to_reference(table, yaws, vehicle.id)
     airframe, on_board = _on_board(vehicle)
@@ -99,9 +101,9 @@ def judge(
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message
     more_margins: list[tuple[str, float, str]] = []
     if keep_out:
-        more_margins.append((KEEP_OUT, *_keep_out(flown, keep_out)))
+        more_margins.append((KEEP_OUT, *_keep_out(flown, keep_out, clearance_m)))
     if gates:
-        more_margins.append((GATES, *_gates(flown, gates)))
+        more_margins.append((GATES, *_gates(flown, gates, clearance_m)))
     if yaw_rate_max_rad_s is not None:
         more_margins.append((YAW_RATE, *_turning(flown, reference.yaw_nodes(), yaw_rate_max_rad_s)))
     for name, margin, where in more_margins:
@@ -130,7 +132,7 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
     )
 
 
-def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
+def _keep_out(table: Table, shapes: Sequence[Shape], clearance_m: float = 0.0) -> tuple[float, str]:
     """Return the least distance from the shapes, and a message that says where it is."""
     times_us = sample_times(table)
     p = evaluate(table, times_us)[0]
@@ -143,9 +145,19 @@ def _keep_out(table: Table, shapes: Sequence[Shape]) -> tuple[float, str]:
             node = int(np.searchsorted(table.times_us, times_us[k], side="right")) - 1
             where = (
                 f"node {node} at {table.times_us[node] * 1e-6:.3f} s: {-least:.3g} m inside "
-                f"keep_out[{number}] ({shape.kind}), at {times_us[k] * 1e-6:.3f} s"
+                f"keep_out[{number}] ({shape.kind}){_grown(clearance_m)}, at {times_us[k] * 1e-6:.3f} s"
             )
     return least, where
+
+
+def obstacle_margins(table: Table, keep_out: Sequence[Shape], gates: Sequence[Passing]) -> dict[str, float]:
+    """Return the least distances of a table from keep-out shapes and inside gates, m, where it has any."""
+    margins = {}
+    if keep_out:
+        margins[KEEP_OUT] = _keep_out(table, keep_out)[0]
+    if gates:
+        margins[GATES] = float(inside_gates(table, gates).min())
+    return margins
 
 
 def inside_gates(table: Table, gates: Sequence[Passing]) -> Annotated[np.ndarray, "gates"]:
@@ -155,13 +167,20 @@ def inside_gates(table: Table, gates: Sequence[Passing]) -> Annotated[np.ndarray
     return np.array(inside)
 
 
-def _gates(table: Table, gates: Sequence[Passing]) -> tuple[float, str]:
+def _grown(clearance_m: float) -> str:
+    """Return the words for a clearance that counts as part of an obstacle."""
+    return f" and its clearance of {clearance_m:.3g} m" if clearance_m else ""
+
+
+def _gates(table: Table, gates: Sequence[Passing], clearance_m: float) -> tuple[float, str]:
     """Return the least distance inside a gate's edge, and a message that says where it is."""
     inside = inside_gates(table, gates)
     k = int(inside.argmin())
     t_us = gates[k].t_us
     node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
-    return float(inside[k]), f"node {node} at {t_us * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]"
+    return float(
+        inside[k]
+    ), f"node {node} at {t_us * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]{_grown(clearance_m)}"
 
 
 def _turning(table: Table, yaws: Sequence[YawNode], bound: float) -> tuple[float, str]:

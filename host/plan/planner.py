@@ -28,6 +28,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.models.model import Model
 from trimtab.host.plan.box import within_region
+from trimtab.host.plan.clearance import ALLOWANCE_M
 from trimtab.host.plan.dynamics import Dynamics
 from trimtab.host.plan.heading import check_turnable
 from trimtab.host.plan.job import Job
@@ -35,8 +36,14 @@ from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.result import MINIMISED, Kind, Plan, Settings, label, parse_kind
 from trimtab.host.plan.stretch import plan_snap
 from trimtab.host.route import TIME_MAX_S, LimitsOverride, Route, check_route
+from trimtab.host.route.clearance import has_obstacles, room, with_clearance
 from trimtab.host.shooting.problem import NODES_MAX
 from trimtab.host.vehicle import Limits, Vehicle
+
+CLEARANCE_MAX_M = 2.0
+"""The largest clearance that a plan may keep."""
+_MORE = 1.1
+"""Factor on the clearance that a plan's predicted error needs, for the next plan."""
 
 
 class JobOptions(TypedDict, total=False):
@@ -54,6 +61,7 @@ class JobOptions(TypedDict, total=False):
     total_time_s: float | None
     time_box: tuple[float, float] | None
     time_weight: float | None
+    clearance_m: float | None
     settings: Settings | None
     source: str | None
 
@@ -84,7 +92,19 @@ def plan(
     if stretch and name != "min-snap":
         raise UsageError(f"--stretch goes with min-snap, not with {kind}: give the time with --time-s")
     job = make_job(route, vehicle, kind=kind, model=model, **options)
-    if name == "min-snap":
+    is_stated = options.get("clearance_m") is not None or not has_obstacles(route)
+    while True:
+        made = _solve(job, stretch=stretch, nodes=nodes)
+        needed_m = ALLOWANCE_M + made.predicted_error_max_m
+        if is_stated or needed_m <= job.clearance_m or job.clearance_m >= CLEARANCE_MAX_M:
+            return made
+        # The next path is another one, and may have a little more error.
+        clearance_m = min(_MORE * needed_m, CLEARANCE_MAX_M)
+        job = replace(job, clearance_m=clearance_m, route=with_clearance(job.course, clearance_m))
+
+
+def _solve(job: Job, *, stretch: bool, nodes: int | None) -> Plan:
+    if job.kind == "min-snap":
         return plan_snap(job, stretch=stretch)
     from trimtab.host.plan.rounds import plan_shooting  # with scipy, which min-snap does not need
 
@@ -119,7 +139,31 @@ def make_job(
         _check_steady(dynamics, route)
     if dynamics.model.network is not None and dynamics.model.region is not None and name in MINIMISED:
         limits = within_region(limits, dynamics.model.region, dynamics)
-    return Job(kind=name, route=route, dynamics=dynamics, limits=limits, settings=settings)
+    clearance_m = _clearance(route, options.get("clearance_m"), source)
+    return Job(
+        kind=name,
+        course=route,
+        route=with_clearance(route, clearance_m),
+        clearance_m=clearance_m,
+        dynamics=dynamics,
+        limits=limits,
+        settings=settings,
+    )
+
+
+def _clearance(route: Route, clearance_m: float | None, source: str | None) -> float:
+    """Return the first clearance. Raises UsageError for a stated one that the route has no room for."""
+    if clearance_m is None:
+        return ALLOWANCE_M
+    if not 0.0 <= clearance_m <= CLEARANCE_MAX_M:
+        raise UsageError(f"--clearance {clearance_m:g}: give 0 to {CLEARANCE_MAX_M:g} m")
+    room_m, where = room(route)
+    if room_m < clearance_m:
+        raise UsageError(
+            f"{source or route.name}: {where} has room for {room_m:.3g} m of clearance, not for "
+            f"{clearance_m:g} m; give a smaller --clearance or more room"
+        )
+    return clearance_m
 
 
 def _residual_model(

@@ -10,6 +10,7 @@ from typing import Literal
 from trimtab.firmware_model.law.reference_verdict import ReferenceVerdict
 from trimtab.host.base.errors import Refused, SolverError, UsageError
 from trimtab.host.plan.dynamics import Minimised, Weights
+from trimtab.host.route import Route
 from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import Limits
 from trimtab.protocol.blobs import Reference
@@ -75,17 +76,21 @@ class Settings:
 class Plan:
     """A checked reference and its figures.
 
-    kind, augmented: as of `parse_kind`. limits: those that judged it, of vehicle, route and headroom
-    together. margins: least distance to each limit over the whole reference. residual_rms_m_s2: predicted
-    along it, None without a model. outside_region: share of it outside the trained region, None where that is
-    not known. deviation_m: largest distance from the solver's path, None for min-snap. stretch: factor on the
-    route's time. lambda_r: the paper's weight of control effort (eq. 10), of the squared rotor thrusts in N^2
-    beside the squared residual in m^2/s^4, or the squared error in its unit; None for kinds with neither.
-    intervals: of the shooting problem. rounds: number of solves. solve_s: processor time. first_solve_s: time
-    of the first round's solver on all its grids, None for min-snap. Only these two vary from run to run.
+    route: as asked for. kind, augmented: as of `parse_kind`. limits: those that judged it, of vehicle, route
+    and headroom together. margins: least distance to each limit over the whole reference. clearance_m:
+    distance that the path had to keep from keep-out shapes and the edges of gates, None without any.
+    predicted_error_max_m: largest tracking error that the model predicts for the law without feed-forward, 0
+    without a model. residual_rms_m_s2: predicted along it, None without a model. outside_region: share of it
+    outside the trained region, None where that is not known. deviation_m: largest distance from the solver's
+    path, None for min-snap. stretch: factor on the route's time. lambda_r: the paper's weight of control
+    effort (eq. 10), of the squared rotor thrusts in N^2 beside the squared residual in m^2/s^4, or the
+    squared error in its unit; None for kinds with neither. intervals: of the shooting problem. rounds: number
+    of solves. solve_s: processor time. first_solve_s: time of the first round's solver on all its grids, None
+    for min-snap. Only these two vary from run to run.
     """
 
     reference: Reference
+    route: Route
     kind: Kind
     augmented: bool
     status: str
@@ -93,6 +98,8 @@ class Plan:
     waypoint_times_s: tuple[float, ...]
     limits: Limits
     margins: Mapping[str, float]
+    clearance_m: float | None
+    predicted_error_max_m: float
     residual_rms_m_s2: float | None
     outside_region: float | None
     path_length_m: float

@@ -66,6 +66,21 @@ class Cylinder(Strict):
 
 Shape = Annotated[Box | Sphere | Cylinder, Field(discriminator="kind")]
 
+
+def grown(shape: Shape, by_m: float) -> Shape:
+    """Return the shape of the same kind that holds every point within `by_m` of the given one."""
+    if isinstance(shape, Box):
+        low, high = (
+            [value + sign * by_m for value in end] for sign, end in ((-1, shape.min_m), (1, shape.max_m))
+        )
+        return shape.model_copy(update={"min_m": tuple(low), "max_m": tuple(high)})
+    update: dict[str, Any] = {"radius_m": shape.radius_m + by_m}
+    if isinstance(shape, Cylinder):
+        top, bottom = shape.down_m
+        update["down_m"] = (top - by_m, bottom + by_m)
+    return shape.model_copy(update=update)
+
+
 _TINY = 1e-12
 """Added under roots to keep derivatives finite on an axis; changes a distance by less than 1e-6 m."""
 

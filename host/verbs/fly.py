@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from itertools import count
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from trimtab.host.link.host_control import FlownBy
     from trimtab.host.link.keys import StationKey
     from trimtab.host.link.summary import FlightResult
+    from trimtab.host.route.clearance import Passed
     from trimtab.host.vehicle import Vehicle
 
 CAMERA_DELAY_MS = 4.0
@@ -125,7 +126,7 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
     reference
         Reference to fly, a .ref file.
     """
-    from trimtab.host.base.output import emit, say, warn
+    from trimtab.host.base.output import warn
     from trimtab.host.base.progress import Progress
     from trimtab.host.link.drivers import Interrupts
     from trimtab.host.link.flight import ON_REQUEST
@@ -148,11 +149,40 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
                 result = _fly_simulated(request, options, flight, on_phase)
     except (FlightEnded, FlightInterrupted) as ended:
         with Interrupts():  # a key that is held down must not suppress the answer
-            say(*ended.result.to_lines())
-            emit(ended.result.to_json(), options.json)
+            _answer(ended.result, reference, options)
         raise
-    say(*result.to_lines())
-    emit(result.to_json(), options.json)
+    _answer(result, reference, options)
+
+
+def _answer(result: FlightResult, reference: Path, options: FlyOptions) -> None:
+    """Print the result, with the flight's distance from the gates and keep-out shapes of its route."""
+    from trimtab.host.base.output import emit, say
+
+    passed = _passed(result, reference)
+    lines = [
+        f"{each.obstacle}: {abs(1e3 * each.distance_m):.0f} mm "
+        f"{'clear' if each.distance_m >= 0.0 else 'MISSED'} at {each.t_s:.2f} s"
+        for each in passed
+    ]
+    say(*result.to_lines(), *lines)
+    emit({**result.to_json(), "clearance": [asdict(each) for each in passed]}, options.json)
+
+
+def _passed(result: FlightResult, path: Path) -> list[Passed]:
+    """Return how the flight passed the obstacles of its route, if the plan's file beside it names any."""
+    from trimtab.host.log import read_flight, topics
+    from trimtab.host.plan.files import read_course
+    from trimtab.host.route.clearance import flown_clearance, has_obstacles
+
+    course = read_course(path, result.reference)
+    if course is None or not has_obstacles(course[0]) or result.tracking_max_m is None:
+        return []
+    flight = read_flight(result.log, leave_out=[topics.FC_CONTROL])
+    assert flight.mocap is not None  # else it has no tracking error
+    assert flight.tracking is not None
+    start_us, end_us = flight.tracking
+    keep = (flight.mocap.t_us >= start_us) & (flight.mocap.t_us <= end_us)
+    return flown_clearance(*course, 1e-6 * (flight.mocap.t_us[keep] - start_us), flight.mocap.p[keep])
 
 
 def _check(options: FlyOptions) -> None:

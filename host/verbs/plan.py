@@ -12,7 +12,8 @@ if TYPE_CHECKING:
     from trimtab.host.route import LimitsOverride
 
 REPORT_SUFFIX = ".html"
-
+_ROUNDING_M = 1e-3
+"""By how much a margin may miss the clearance before it is told."""
 
 DEFAULTS = PlanOptions()
 
@@ -75,6 +76,7 @@ def _read(route: str, options: PlanOptions) -> PlanTask:
             "headroom": None if options.headroom is None else _headroom(*options.headroom),
             "total_time_s": options.time_s,
             "nodes": options.nodes,
+            "clearance_m": options.clearance,
             "source": route_file(route, space.root),
         },
         provenance=artefacts.provenance(parents=parents),
@@ -146,6 +148,8 @@ def _headroom(low: float, high: float) -> LimitsOverride:
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
     """Return the plan as lines of text."""
+    from trimtab.host.plan.box import GATES, KEEP_OUT
+
     first = (
         f"{target}: {plan.label}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
         f"{plan.mean_speed_m_s:.2f} m/s mean speed, {len(plan.reference.nodes)} nodes"
@@ -167,6 +171,17 @@ def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
         lines.append(
             "  it moves at an end: the vehicle stores it, but starts only references at rest at both ends"
         )
+    if plan.clearance_m is not None:
+        predicted_mm = 1e3 * plan.predicted_error_max_m
+        lines.append(
+            f"  clearance {1e3 * plan.clearance_m:.0f} mm from gates and keep-out shapes; "
+            f"the model predicts up to {predicted_mm:.0f} mm of tracking error"
+        )
+        lines += [
+            f"  {name} is {plan.margins[name]:.3f}: the route has no room for this clearance"
+            for name in (GATES, KEEP_OUT)
+            if plan.margins.get(name, plan.clearance_m) < plan.clearance_m - _ROUNDING_M
+        ]
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())
     lines.append(f"  margins: {margins}")
     if report is not None:

@@ -53,6 +53,10 @@ class PlanOptions:
         Give a min-snap plan that breaks a limit more time.
     headroom
         Least and greatest share of a rotor's thrust that the plan may use, within the vehicle's own limits.
+    clearance
+        Distance in metres that the path keeps from keep-out shapes and from the edges of gates. Default: the
+        tracking error that the model predicts, plus 0.1 m for what it does not, or less where the route
+        leaves no room.
     report
         HTML page to write: the path with gates and keep-out shapes, and the residual, its sensitivity and the
         distance to the limits at each node.
@@ -78,6 +82,7 @@ class PlanOptions:
     time_weight: float | None = None
     stretch: Annotated[bool, Parameter(negative="")] = False
     headroom: tuple[float, float] | None = None
+    clearance: float | None = None
     report: Path | None = None
     pareto: Annotated[bool, Parameter(negative="")] = False
     world: str | None = None

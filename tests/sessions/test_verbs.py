@@ -384,3 +384,22 @@ def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_ye
         flight = re.search(r"--flight (\d+)", words)
         logs.append(f"{reference}-{flight[1] if flight else 0}.mcap")
     assert len(logs) == len(set(logs)) == 4
+
+
+def test_fly_tells_how_far_it_was_from_the_obstacles_of_its_route(trimtab: Any, tmp_path: Path) -> None:
+    route = """
+        name = "slalom"
+        total_time_s = 5.0
+        waypoints_m = [[-2, 0, -1.2], [0, 0.6, -1.5], [2, 0, -1.2]]
+        gates = [{waypoint = 1, width_m = 0.9, height_m = 0.8, heading_deg = 0}]
+        keep_out = [{kind = "cylinder", centre_m = [1.0, -0.4], radius_m = 0.2, down_m = [-3, 0]}]
+    """
+    (tmp_path / "slalom.toml").write_text(route)
+    code, planned, _ = trimtab("plan", "slalom.toml", "--kind", "min-control", "-o", "a.ref", "--json")
+    assert (code, planned["clearance_m"]) == (0, 0.1)
+    _, flown, _ = trimtab("fly", "a.ref", "-o", "a.mcap", "--json")
+    assert [each["obstacle"] for each in flown["clearance"]] == ["gates[0]", "keep_out[0]"]
+    for each, margin in zip(flown["clearance"], ("gates_m", "keep_out_m"), strict=True):
+        assert each["distance_m"] == pytest.approx(planned["margins"][margin], abs=0.03)
+    (tmp_path / "a.ref.json").unlink()
+    assert trimtab("fly", "a.ref", "-o", "b.mcap", "--json")[1]["clearance"] == []

@@ -344,7 +344,9 @@ def test_plan_passes_gates_inside_and_by_shooting_makes_use_of_them(
     kind: str, times_s: tuple[float, ...] | None
 ) -> None:
     timed = {} if times_s is None else {"times_s": times_s, "total_time_s": None}
-    made = plan(ROUTE.model_copy(update={"gates": GATES, **timed}), VEHICLE, kind=kind, model=DRAG)
+    made = plan(
+        ROUTE.model_copy(update={"gates": GATES, **timed}), VEHICLE, kind=kind, model=DRAG, clearance_m=0.0
+    )
     _assert_flyable(made)
     at = np.rint(np.array(made.waypoint_times_s) * 1e6)
     p = evaluate(from_reference(made.reference), at)[0].T
@@ -363,7 +365,9 @@ def test_plan_passes_gates_inside_and_by_shooting_makes_use_of_them(
 
 
 def test_plan_with_gates_has_less_residual_than_through_their_centres() -> None:
-    made = plan(ROUTE.model_copy(update={"gates": GATES}), VEHICLE, kind="min-residual", model=DRAG)
+    made = plan(
+        ROUTE.model_copy(update={"gates": GATES}), VEHICLE, kind="min-residual", model=DRAG, clearance_m=0.0
+    )
     assert made.residual_rms_m_s2 is not None
     assert made.residual_rms_m_s2 < 0.95 * (_planned("min-residual").residual_rms_m_s2 or 0.0)
 
