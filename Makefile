@@ -1,5 +1,6 @@
 # `make demo` and `make test` need Python 3.11 or newer and make; both set up .venv first.
-# `make fuzz` gives 10^7 inputs to everything that takes bytes; FUZZ_SEED=n chooses others, FUZZ_INPUTS=n their number.
+# `make fuzz` gives 10^7 inputs to everything that takes bytes, and 10^5 damaged logs to each reader of foreign logs;
+# FUZZ_SEED=n chooses others, FUZZ_INPUTS=n and FUZZ_LOGS=n their numbers.
 # TRIMTAB_PYTHON=/path/to/python3 chooses the Python, TESTS=path narrows a test run, WORKERS=n its processes.
 
 VENV := .venv
@@ -11,6 +12,7 @@ READY_CLIENTS := $(VENV)/trimtab-clients.stamp
 WORKERS ?= auto
 TESTS ?=
 FUZZ_INPUTS ?= 10000000
+FUZZ_LOGS ?= 100000
 FUZZ_SEED ?= 0
 FUZZ_WORKERS ?= 2
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
@@ -53,8 +55,9 @@ types: $(READY_ALL)
 bench: $(READY_BENCH)
 	$(VENV)/bin/trimtab bench
 
-fuzz: $(READY)
+fuzz: $(READY_ALL)
 	$(PYTHON) -m trimtab.sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
+	$(PYTHON) tests/fuzz/readers.py --inputs $(FUZZ_LOGS) --seed $(FUZZ_SEED)
 
 generate: $(READY_ALL)
 	$(PYTHON) -m trimtab.protocol.generate

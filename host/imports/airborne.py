@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 
 from trimtab.host.imports.recording import Recording, TooShort
@@ -13,6 +15,9 @@ EDGE_US = 500_000
 """Time left out after take-off and before landing, because of ground effect and a settling controller."""
 
 SHORTEST_US = 2_000_000
+
+UNSEEN_US = 5_000_000
+"""Time without poses after which another flight begins: the vehicle was not seen, or a clock jumped."""
 
 _REST_US = 300_000
 _REST_M = 0.02
@@ -51,14 +56,22 @@ def airborne(recording: Recording) -> tuple[int, int]:
 
 
 def _runs(flying: np.ndarray, t_us: np.ndarray) -> list[tuple[int, int]]:
-    """Return (first row, row after the last) of each time in the air, joined over short breaks."""
+    """Return (first row, row after the last) of each time in the air, joined over short breaks.
+
+    A time ends where no pose follows for `UNSEEN_US`.
+    """
     edges = np.flatnonzero(np.diff(np.r_[False, flying, False].astype(int)))
     runs: list[tuple[int, int]] = []
     for a, b in zip(edges[::2].tolist(), edges[1::2].tolist(), strict=True):
         if runs and t_us[a] - t_us[runs[-1][1] - 1] < _REST_US:
             a = runs.pop()[0]
         runs.append((a, b))
-    return runs
+    unseen = np.flatnonzero(np.diff(t_us) > UNSEEN_US) + 1
+    parts: list[tuple[int, int]] = []
+    for a, b in runs:
+        inner = unseen[(unseen > a) & (unseen < b)].tolist()
+        parts += pairwise([a, *inner, b])
+    return parts
 
 
 def _powered(recording: Recording) -> np.ndarray | None:

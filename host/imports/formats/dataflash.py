@@ -153,16 +153,18 @@ def _read(
     with warnings.catch_warnings(), redirect_stderr(StringIO()), redirect_stdout(StringIO()):
         warnings.simplefilter("ignore", ResourceWarning)
         reader: Any = DFReader_binary(str(path))
-    with closing(reader.filehandle):
-        while (message := reader.recv_match(type=names)) is not None:
-            kind, held = message.get_type(), message.to_dict()
-            if kind == "PARM":
-                parameters[str(held["Name"])] = float(held["Value"])
-                continue
-            if any(held.get(field) for field in INSTANCES):
-                continue
-            numbers = {k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"}
-            fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
-            if tuple(numbers) == fields:
-                times.append(int(held["TimeUS"]))
-                values.extend(numbers.values())
+        with closing(reader.filehandle):
+            while (message := reader.recv_match(type=names)) is not None:
+                kind, held = message.get_type(), message.to_dict()
+                if kind == "PARM":
+                    parameters[str(held["Name"])] = float(held["Value"])
+                    continue
+                if any(held.get(field) for field in INSTANCES):
+                    continue
+                numbers = {
+                    k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"
+                }
+                fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
+                if tuple(numbers) == fields:
+                    times.append(int(held["TimeUS"]))
+                    values.extend(numbers.values())

@@ -8,6 +8,8 @@ the mixer if they were logged, else pulse widths.
 from __future__ import annotations
 
 from collections.abc import Mapping
+from contextlib import redirect_stdout
+from io import StringIO
 from pathlib import Path
 from typing import Any
 
@@ -134,7 +136,9 @@ def _log(path: Path) -> TopicLog:
     pyulog = optional("pyulog", "logs")
     check_readable(path)
     try:
-        file: Any = pyulog.ULog(str(path), disable_str_exceptions=True)
+        # pyulog prints what it cannot read, and leaves a file open that it opened itself and cannot read.
+        with path.open("rb") as stream, redirect_stdout(StringIO()):
+            file: Any = pyulog.ULog(stream, disable_str_exceptions=True)
     except Exception as error:
         # pyulog reports damage by whatever exception its parser ran into.
         raise ImportFormatError(
@@ -142,7 +146,7 @@ def _log(path: Path) -> TopicLog:
         ) from None
     topics: dict[str, Topic] = {}
     for data in file.data_list:
-        if len(data.data["timestamp"]):
+        if len(data.data.get("timestamp", ())):  # damage may rename a field
             topics.setdefault(
                 data.name, Topic(t_us=data.data["timestamp"].astype(np.int64), columns=data.data)
             )

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.imports import ImportFormatError, Recording
-from trimtab.host.imports.airborne import EDGE_US, airborne
+from trimtab.host.imports.airborne import EDGE_US, UNSEEN_US, airborne
 
 T_US = np.arange(0, 12_000_000, 10_000, dtype=np.int64)
 T = T_US * 1e-6
@@ -92,3 +92,10 @@ def test_longest_of_two_flights_is_taken() -> None:
 def test_log_that_hardly_flew_is_refused(height: np.ndarray, inputs: dict[str, Any], said: str) -> None:
     with pytest.raises(ImportFormatError, match=said):
         airborne(recording(height, **inputs))
+
+
+@pytest.mark.parametrize("jump_us", [UNSEEN_US + 1, 10**15])
+def test_flight_ends_where_the_clock_jumps(jump_us: int) -> None:
+    t_us = T_US + np.where(T > 7.0, jump_us, 0)
+    moving = recording(1.0 + 0.3 * np.sin(3.0 * T), pose_us=t_us)
+    assert airborne(moving) == pytest.approx((0, 7_000_000 - EDGE_US), abs=20_000)
