@@ -46,6 +46,7 @@ VERBS = (
         help="Plan, fly, trace the missing effects and plan again, then write a report.",
     ),
     Verb(name="plan", module="plan", help="Plan a reference for a route and check it."),
+    Verb(name="export", module="export", help="Export a plan for other vehicles and programs."),
     Verb(name="sitl", module="sitl", help="Simulate a vehicle and its camera system at a port."),
     Verb(name="upload", module="upload", help="Send a reference or feed-forward to a vehicle and commit it."),
     Verb(

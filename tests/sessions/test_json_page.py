@@ -121,6 +121,13 @@ def test_plan_and_fly_print_what_the_page_says(
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
+def test_export_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], hop: str) -> None:
+    trimtab("plan", hop, "-o", "hop.ref")
+    for form in ("csv", "crazyflie"):
+        told = trimtab("export", "hop.ref", "--format", form)
+        assert {(name,) for name in told} | {("samples",)} <= {key[:1] for key in documented("export")}
+
+
 def test_key_new_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
     check("key new", trimtab("key", "new", "lab.key"))
     assert set(documented("key install")) == {("file",), ("port",)}  # what test_pty.py sees printed

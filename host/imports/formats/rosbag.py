@@ -16,8 +16,8 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
+from trimtab.host.base.extras import optional
 from trimtab.host.imports.contents import Contents, topic
-from trimtab.host.imports.extras import optional
 from trimtab.host.imports.formats.ulog import CORNERS as PX4_CORNERS
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_quaternion

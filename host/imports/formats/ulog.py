@@ -15,8 +15,8 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.extras import optional
 from trimtab.host.imports.contents import Contents
-from trimtab.host.imports.extras import optional
 from trimtab.host.imports.frames import turn_from_quaternion
 from trimtab.host.imports.recording import (
     Corner,

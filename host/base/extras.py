@@ -1,4 +1,4 @@
-"""Libraries that only some formats need."""
+"""Libraries that only some formats of logs and plans need."""
 
 from __future__ import annotations
 

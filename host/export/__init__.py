@@ -1,0 +1,1 @@
+"""Plans for vehicles and programs that know nothing of Trimtab: tables, polynomials, bags."""
