@@ -16,6 +16,8 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.decide import Decision
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
+from trimtab.host.trace.decision.findings import Code, Finding
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors, predict_flights, predict_segments, rmse
 from trimtab.host.trace.result import Named, Value
@@ -129,6 +131,24 @@ def model_of(
         ),
         data=tuple(flight.id for flight in flights),
         provenance=dict(provenance or {}),
+    )
+
+
+def far_adjustments(space: ParameterSpace, model: Model) -> tuple[Finding, ...]:
+    """Return a finding for each adjustment that a log does not free and that takes much of its tolerance."""
+    return tuple(
+        Finding(
+            code=Code.ADJUSTED_FAR,
+            value=abs(value - column.neutral) / column.tolerance,
+            bound=RULES.far_tolerances,
+            unit="tolerances",
+            subject=(column.owner, column.key, column.unit),
+            details={"value": value},
+        )
+        for column in space.columns
+        if column.owner in model.adjustments and column.owner not in space.freed
+        for value in (model.adjustments[column.owner][column.key],)
+        if abs(value - column.neutral) > RULES.far_tolerances * column.tolerance
     )
 
 

@@ -192,14 +192,30 @@ class ParameterSpace:
 
 _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 """Parameters of the adjustment for an unknown thrust curve: key, scale, bound."""
+_OF_MOTOR_COMMANDS = frozenset({"thrust-gain"})
+"""Effects whose tolerance in a vehicle file is that of `thrust_max_n`, which thrust in N does not need."""
 
 
-def space(vehicle: Vehicle, effects: Mapping[str, Effect], unknown: Iterable[str] = ()) -> ParameterSpace:
+def space(
+    vehicle: Vehicle,
+    effects: Mapping[str, Effect],
+    unknown: Iterable[str] = (),
+    *,
+    thrust_commanded: bool = False,
+) -> ParameterSpace:
     """Return the parameter space of a vehicle.
 
-    effects: effects by name. unknown: what the logs do not determine, as words of `UNKNOWN`. Raises
-    ValueError for another word in `unknown`.
+    effects: effects by name. unknown: what the logs do not determine, as words of `UNKNOWN`.
+    thrust_commanded: whether the logs hold commanded thrust in N instead of motor commands. Raises ValueError
+    for another word in `unknown`.
     """
+    if thrust_commanded:
+        kept = {
+            key: value
+            for key, value in vehicle.tolerances.items()
+            if key.partition(".")[0] not in _OF_MOTOR_COMMANDS
+        }
+        vehicle = vehicle.model_copy(update={"tolerances": kept})
     unknown = frozenset(unknown)
     unsupported = unknown - set(UNKNOWN)
     if unsupported:

@@ -8,7 +8,7 @@ from trimtab.host.base import parallel
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import TORQUE
 from trimtab.host.log import Flight
-from trimtab.host.trace.assembly import assessed, held_out_errors, model_of, named_effects
+from trimtab.host.trace.assembly import assessed, far_adjustments, held_out_errors, model_of, named_effects
 from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import observable_effects, read_logs
@@ -76,7 +76,9 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     jobs = parallel.cores() if jobs is None else jobs
     logs = read_logs(flights, held_out, vehicle)
     on_progress("reading segments")
-    parameters = space(logs.vehicle, observable_effects(effects, flights), logs.unknown)
+    in_newton = all(f.recorded_inputs is not None and f.recorded_inputs.thrust_n is not None for f in flights)
+    observable = observable_effects(effects, flights)
+    parameters = space(logs.vehicle, observable, logs.unknown, thrust_commanded=in_newton)
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
     segment_model = SegmentModel.of(logs.vehicle, parameters, data, jobs=jobs)
     tracking_s, extent_m = tracking_time_and_extent(logs.flights)
@@ -106,7 +108,7 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
             learned = train_network(flights, held_out, model, effects, description, on_progress)
     return Trace(
         verdict=decision.verdict,
-        findings=decision.findings,
+        findings=(*decision.findings, *far_adjustments(parameters, model)),
         effects=named,
         possible=decision.possible,
         drive=logs.drive,

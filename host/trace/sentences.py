@@ -108,6 +108,10 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.SOMETHING_MISSING: lambda f: (
         f"an effect is missing with probability {f.value:.2f}, but these flights do not show which one"
     ),
+    Code.ADJUSTED_FAR: lambda f: (
+        f"{f.subject[0]} {f.subject[1]} {f.details['value']:.4g}"
+        f"{'' if f.subject[2] == '1' else ' ' + f.subject[2]} ({f.value:.1f} tolerances)"
+    ),
     Code.HIDDEN: lambda f: f"these flights would not show {f.subject[0]} of typical size",
     Code.NO_REPEAT: lambda f: (
         "no repeat flight: fly the same reference again; otherwise physics outside the library looks like "

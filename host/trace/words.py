@@ -147,6 +147,7 @@ def result_lines(result: Trace) -> list[str]:
     lines += [f"  {text}" for text in sentences(result.findings, DOUBTS)]
     if result.hidden:
         lines.append(f"  these flights would not show, at typical size: {', '.join(result.hidden)}")
+    lines += [f"  {text}" for text in taken_up(result)]
     lines += [f"  {text}" for text in sentences(result.findings, OUTSIDE_LIBRARY_CODES)]
     if result.description is not None:
         lines += [f"  {line}" for line in description(result.description)]
@@ -178,6 +179,13 @@ def _errors_line(result: Trace) -> str:
         f"{1e3 * result.after_score['position_rmse_m']:.1f} mm after"
         f"{' (no effect was added)' if result.verdict is Verdict.OUTSIDE_LIBRARY else ''}"
     )
+
+
+def taken_up(result: Trace) -> list[str]:
+    """Return a line on the adjustments that take much of their tolerance; none if there are none."""
+    far = sentences(result.findings, frozenset({Code.ADJUSTED_FAR}))
+    remedy = "if you know one better, give it a smaller tolerance in the vehicle file"
+    return [f"adjusted within tolerance, not named: {', '.join(far)}; {remedy}"] if far else []
 
 
 def verdict(result: Trace) -> str:

@@ -25,6 +25,9 @@ TORQUE_PER_PITCH = 0.19
 """Reaction torque over thrust and pitch. 1/(2 pi) is the work of one turn that moves the air by one pitch;
 drag of the blades adds a fifth."""
 
+PITCH_SHARE = 0.7
+"""Pitch over diameter, if only the diameter is known. Sold for small quadrotors: 0.5 to 0.9."""
+
 THRUST_COEFFICIENT = (0.06, 0.09)
 """C_T = a + b pitch / diameter, in T = C_T rho n^2 D^4. Static tests of small propellers: 0.09 to 0.15."""
 
@@ -67,6 +70,7 @@ RANGES = {
     "pitch_in": (0.3, 30.0),
     "kv": (50.0, 30000.0),
     "cells": (1, 24),
+    "thrust_max_n": (0.02, 500.0),
 }
 """Lowest and highest value of each fact."""
 
@@ -74,22 +78,27 @@ QUAD_X = ((1, 1, "ccw"), (-1, -1, "ccw"), (1, -1, "cw"), (-1, 1, "cw"))
 """Sides (forward, right) and spins in the order of `research`, PX4 and ArduPilot."""
 
 _INCH_M = 0.0254
+_DATA_SHEET_SIGMA = 0.05
+"""One sigma of the relative error of a greatest thrust that the owner states."""
+_WEIGHED_SIGMA = 0.004
+"""One sigma of the relative error of a mass that the owner states."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Propeller:
-    """A propeller as its name says it."""
+    """A propeller as its name says it. known_pitch: whether the name says the pitch, or a rule."""
 
     diameter_m: float
     pitch_m: float
+    known_pitch: bool = True
 
 
 @dataclass(frozen=True, kw_only=True)
 class Facts:
     """What is known of a quadrotor. None: not known, a rule gives it.
 
-    `hover_share` is the share of its greatest thrust at which a rotor hovers, `thrust_curve` [c1, c2] of the
-    vehicle file. `sources` are lines for the head of the file.
+    `thrust_max_n` is the greatest thrust of one rotor, N. `hover_share` is the share of it at which a rotor
+    hovers, `thrust_curve` [c1, c2] of the vehicle file. `sources` are lines for the head of the file.
     """
 
     mass_kg: float
@@ -97,6 +106,7 @@ class Facts:
     rotors: Sequence[Rotor]
     kv_rpm_v: float | None = None
     cells: int | None = None
+    thrust_max_n: float | None = None
     hover_share: float | None = None
     thrust_curve: tuple[float, float] | None = None
     sources: Sequence[str] = ()
@@ -116,14 +126,19 @@ def check_range(key: str, value: float, option: str) -> None:
 
 
 def parse_propeller(text: str) -> Propeller:
-    """Return the propeller of a name such as 5x4.3: diameter and pitch in inches. Raises UsageError."""
-    match = re.fullmatch(r"(\d{1,3}(?:\.\d{1,3})?)x(\d{1,3}(?:\.\d{1,3})?)", text, flags=re.ASCII)
+    """Return the propeller of a name: 5x4.3 or 5 in inches, 127mm. Raises UsageError."""
+    number = r"(\d{1,3}(?:\.\d{1,3})?)"
+    match = re.fullmatch(f"{number}(?:x{number}|(mm))?", text, flags=re.ASCII)
     if match is None:
-        raise UsageError(f"--propeller {text}: give DIAMETERxPITCH in inches, such as 5x4.3")
-    diameter, pitch = float(match[1]), float(match[2])
-    check_range("diameter_in", diameter, "the diameter of --propeller")
+        raise UsageError(
+            f"--propeller {text}: give DIAMETERxPITCH or DIAMETER in inches, or the diameter in mm, such as "
+            "5x4.3, 5 or 127mm"
+        )
+    diameter = float(match[1]) * (1.0 if match[3] is None else 1e-3 / _INCH_M)
+    pitch = PITCH_SHARE * diameter if match[2] is None else float(match[2])
+    check_range("diameter_in", diameter, "the diameter of --propeller in inches,")
     check_range("pitch_in", pitch, "the pitch of --propeller")
-    return Propeller(diameter_m=diameter * _INCH_M, pitch_m=pitch * _INCH_M)
+    return Propeller(diameter_m=diameter * _INCH_M, pitch_m=pitch * _INCH_M, known_pitch=match[2] is not None)
 
 
 def square_rotors(arm_m: float) -> tuple[Rotor, ...]:
@@ -154,10 +169,10 @@ def typical_file(name: str, facts: Facts) -> str:
         raise UsageError(
             f"these rotors lift {1.0 / hover_share:.3g} times the weight, not "
             f"{1.0 / HOVER_SHARE_MOST:.2g} to {1.0 / HOVER_SHARE_LEAST:.2g}; "
-            "check mass, propeller, kv and cells"
+            "check mass, thrust, propeller, kv and cells"
         )
     c2 = round(_curve(propeller.diameter_m), 2)
-    curve, curve_source = (round(1.0 - c2, 2), c2), "ArduPilot's advice for this diameter"
+    curve, curve_source = (round(1.0 - c2, 2), c2), "guess: ArduPilot's advice for this diameter"
     if facts.thrust_curve is not None:
         curve, curve_source = facts.thrust_curve, "the parameter file"
     lag_s = max(LAG_LEAST_S, LAG_PER_DIAMETER_S_PER_M * propeller.diameter_m)
@@ -207,13 +222,15 @@ def _by_mass(table: Sequence[tuple[float, float]], mass_kg: float) -> int | floa
 def _greatest_thrust(facts: Facts, cells: int | float) -> tuple[float, str, float]:
     """Return a rotor's greatest thrust, N, where it comes from, and one sigma of its relative error."""
     quarter_n = 0.25 * facts.mass_kg * GRAVITY
+    if facts.thrust_max_n is not None:
+        return facts.thrust_max_n, "given", _DATA_SHEET_SIGMA
     if facts.hover_share is not None:
         return quarter_n / facts.hover_share, "weight over the hover thrust of the parameter file", 0.05
     if facts.kv_rpm_v is None:
         ratio = _by_mass(THRUST_TO_WEIGHT, facts.mass_kg)
         return (
             ratio * quarter_n,
-            f"guess: the rotors lift {ratio:g} times the weight; --kv knows better",
+            f"guess: the rotors lift {ratio:g} times the weight; --thrust-max-n or --kv knows better",
             0.15,
         )
     a, b = THRUST_COEFFICIENT
@@ -232,13 +249,14 @@ def _curve(diameter_m: float) -> float:
 
 def _head(facts: Facts) -> list[str]:
     d, p = (length / _INCH_M for length in (facts.propeller.diameter_m, facts.propeller.pitch_m))
+    size = f"{d:.3g} x {p:.3g} in" if facts.propeller.known_pitch else f"{d:.3g} in (pitch guessed: {p:.2g})"
     motor = "" if facts.kv_rpm_v is None else f", {facts.kv_rpm_v:g} kv"
     arm = f"arms of {arm_length(facts.rotors):.4g} m"
     return [
         "Written by `trimtab vehicle new`. A guess is a typical value that nobody measured here.",
         "Replace guesses by measured values and lower their tolerances.",
         "`trimtab vehicle check LOG` compares this file with a flight.",
-        f"Given: {facts.mass_kg:g} kg, {arm}, propellers of {d:g} x {p:g} in{motor}.",
+        f"Given: {facts.mass_kg:g} kg, {arm}, propellers of {size}{motor}.",
         *facts.sources,
         "Frames: body FRD, world NED; motor_command[i] drives rotors[i].",
     ]
@@ -311,7 +329,7 @@ def _tolerances(arm_m: float, lag_s: float, gain_sigma: float) -> list[str]:
         "linear-drag.dx": 0.1,
         "linear-drag.dy": 0.1,
         "linear-drag.dz": 0.1,
-        "mass.factor": 0.01,
+        "mass.factor": _WEIGHED_SIGMA,
         "motor-lag.extra_s": 0.2 * lag_s,
         "quadratic-drag.c": 0.01,
         "thrust-gain.gain": gain_sigma,

@@ -24,9 +24,11 @@ class NewOptions:
     Attributes
     ----------
     mass_kg
-        Take-off mass with battery, kg.
+        Take-off mass with battery, kg, weighed.
     propeller
-        Diameter and pitch in inches, such as 5x4.3.
+        Diameter and pitch in inches, such as 5x4.3, or only the diameter: 5, or 127mm.
+    thrust_max_n
+        Greatest thrust of one rotor, N, as the data sheet of motor and propeller states it.
     arm_m
         Distance from the centre to a rotor, m. A PX4 parameter file states it; this option then scales it.
     kv
@@ -41,6 +43,7 @@ class NewOptions:
 
     mass_kg: float
     propeller: str
+    thrust_max_n: float | None = None
     arm_m: float | None = None
     kv: float | None = None
     cells: int | None = None
@@ -94,7 +97,8 @@ def _facts(options: NewOptions) -> tuple[Facts, list[str]]:
     from trimtab.host.vehicle.typical import Facts, arm_length, check_range, parse_propeller, square_rotors
 
     propeller = parse_propeller(options.propeller)
-    for key, option in (("mass_kg", "--mass-kg"), ("arm_m", "--arm-m"), ("kv", "--kv"), ("cells", "--cells")):
+    for key in ("mass_kg", "arm_m", "kv", "cells", "thrust_max_n"):
+        option = f"--{key.replace('_', '-')}"
         value = getattr(options, key)
         if value is not None:
             check_range(key, value, option)
@@ -103,7 +107,7 @@ def _facts(options: NewOptions) -> tuple[Facts, list[str]]:
     if arm_m is None and (dump is None or not dump.has_size):
         raise UsageError("give --arm-m, the distance from the centre to a rotor, m")
     known = {"mass_kg": options.mass_kg, "propeller": propeller}
-    known |= {"kv_rpm_v": options.kv, "cells": options.cells}
+    known |= {"kv_rpm_v": options.kv, "cells": options.cells, "thrust_max_n": options.thrust_max_n}
     if dump is None:
         assert arm_m is not None
         return Facts(**known, rotors=square_rotors(arm_m)), []

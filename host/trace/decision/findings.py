@@ -43,6 +43,8 @@ class Code(StrEnum):
     POSSIBLE = "possible"
     SOMETHING_MISSING = "something-missing"
     HIDDEN = "hidden"
+    # What the model took up without naming it.
+    ADJUSTED_FAR = "adjusted-far"
     # Quality of one log.
     NO_REPEAT = "no-twin"  # older JSON code, kept for compatibility
     NO_INPUTS = "no-inputs"

@@ -49,6 +49,11 @@ class Rules:
         "An effect is present if a strength parameter is farther than this from neutral, in units of the "
         "spike (tolerance and discrepancy combined).",
     )
+    far_tolerances: float = _rule(
+        2.0,
+        "tolerances",
+        "An adjustment farther than this from neutral is told: the model takes it up without naming it.",
+    )
     carrier_spikes: float = _rule(
         4.0,
         "spikes",

@@ -7,6 +7,7 @@ the accelerometer, or of the thrust axis, on the raw files, as published beside 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -20,7 +21,8 @@ from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.decision.findings import DOUBTS, Code
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.run import run
-from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle import load_vehicle, parse_vehicle
+from trimtab.host.vehicle.typical import Facts, parse_propeller, square_rotors, typical_file
 
 FLIGHTS = Path(__file__).parents[4] / "shared" / "data"
 NANOBENCH = ("B3_figure8_fast_rep1.csv", "B7_oval_fast_rep2.csv", "B8_star_slow_rep1.csv")
@@ -128,6 +130,19 @@ def test_stronger_motors_show_their_thrust_and_the_drag(
     # Its value moves with the pose delay that no file states: an interval wide enough, and no wider.
     assert abs(drag.value - 0.36) <= 2.0 * drag.sd
     assert drag.sd < 0.12
+
+
+@pytest.mark.full
+def test_guess_of_the_greatest_thrust_does_not_hide_a_gain_of_commanded_thrust(
+    bring_in: Callable[[FormatName, str], Flight],
+) -> None:
+    facts = Facts(mass_kg=0.0333, propeller=parse_propeller("45mm"), rotors=square_rotors(0.046), cells=1)
+    guessed = parse_vehicle(typical_file("mine", facts), "mine")
+    assert guessed.tolerances["thrust-gain.gain"] == 0.15
+    logs = [bring_in("crazyflie-usd", f"crazyswarm2_tools/logs/log{number}") for number in (12, 15)]
+    found = run([replace(log, vehicle=guessed) for log in logs], [], load_effects())
+    gain = {effect.name: effect for effect in found.effects}["thrust-gain"].parameters["gain"]
+    assert gain.value == pytest.approx(1.44, abs=0.05)
 
 
 @pytest.mark.full

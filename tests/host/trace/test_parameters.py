@@ -44,6 +44,22 @@ def test_space_of_logs_without_inputs_has_only_effects_that_thrust_does_not_expl
     }  # fmt: skip
 
 
+def test_thrust_commanded_in_newton_does_not_take_the_tolerance_of_the_greatest_thrust() -> None:
+    guessed = VEHICLE.replace(
+        tolerances={**VEHICLE.tolerances, "thrust-gain.gain": 0.15, "mass.factor": 0.004}
+    )
+
+    def tolerances(*, thrust_commanded: bool) -> dict[str, float]:
+        made = space(guessed, EFFECTS, thrust_commanded=thrust_commanded)
+        return {f"{c.owner}.{c.key}": c.tolerance for c in made.columns}
+
+    motors, newton = tolerances(thrust_commanded=False), tolerances(thrust_commanded=True)
+    default = EFFECTS["thrust-gain"].parameters[0].tolerance
+    assert (motors.pop("thrust-gain.gain"), newton.pop("thrust-gain.gain")) == (0.15, default)
+    assert motors == newton
+    assert newton["mass.factor"] == 0.004
+
+
 def test_space_with_an_undefined_unknown_raises() -> None:
     with pytest.raises(ValueError, match="weather"):
         space(VEHICLE, EFFECTS, ["weather"])

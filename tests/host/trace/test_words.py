@@ -38,6 +38,17 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
     for finding, mentioned in [
         (
             Finding(
+                code=Code.ADJUSTED_FAR,
+                value=2.06,
+                bound=2.0,
+                unit="tolerances",
+                subject=("quadratic-drag", "c", "1/m"),
+                details={"value": -0.0206},
+            ),
+            ["quadratic-drag c -0.0206 1/m", "2.1 tolerances"],
+        ),
+        (
+            Finding(
                 code=Code.FLIGHTS_REPEAT,
                 value=0.31,
                 bound=0.08,

@@ -136,7 +136,7 @@ def test_name_that_no_file_can_have_is_refused(name: str) -> None:
 
 
 @pytest.mark.parametrize(
-    "text", ["", "5", "5x", "x4", "5 x 4", "5x4.3x3", "-5x4", "1e3x4", "0x4", "5x0", "٥x4"]
+    "text", ["", "5cm", "5x", "x4", "5 x 4", "5x4.3x3", "-5x4", "1e3x4", "0x4", "5x0", "٥x4"]
 )
 def test_propeller_that_is_none_is_refused(text: str) -> None:
     with pytest.raises(UsageError):
@@ -203,3 +203,21 @@ def test_any_facts_in_range_give_a_valid_file_or_one_line(
         assert "\n" not in str(error)  # noqa: PT017
     else:
         assert mass_kg * 9.80665 <= HOVER_SHARE_MOST * 4.0 * vehicle.thrust_max_n * 1.01
+
+
+def test_greatest_thrust_that_is_given_is_kept_with_its_tolerance() -> None:
+    facts = Facts(
+        mass_kg=0.752, propeller=parse_propeller("5"), rotors=square_rotors(0.125), thrust_max_n=8.5
+    )
+    vehicle = parse_vehicle(typical_file("mine", facts), "mine")
+    assert vehicle.thrust_max_n == 8.5
+    assert vehicle.tolerances["thrust-gain.gain"] == 0.05
+    assert vehicle.tolerances["mass.factor"] < 0.005
+
+
+@pytest.mark.parametrize(("text", "diameter_m"), [("5", 0.127), ("127mm", 0.127), ("45mm", 0.045)])
+def test_propeller_without_pitch_has_a_guessed_one(text: str, diameter_m: float) -> None:
+    found = parse_propeller(text)
+    assert found.diameter_m == pytest.approx(diameter_m)
+    assert found.pitch_m == pytest.approx(0.7 * diameter_m)
+    assert not found.known_pitch

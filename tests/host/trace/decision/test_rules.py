@@ -29,6 +29,7 @@ EXPECTED: Mapping[str, float] = {
     "max_effects": 6,
     "worth_fitting_nats": 12.0,
     "present_spikes": 1.0,
+    "far_tolerances": 2.0,
     "carrier_spikes": 4.0,
     "worse_fit_ratio": 1.5,
     "least_gain_beside_memory": 0.1,
