@@ -24,6 +24,7 @@ _EXCESS = 1.2  # multiple of an excess that a bound is tightened by,
 _STEP = 0.002  # plus this share of the bound
 KEEP_OUT = "keep_out_m"
 GATES = "gates_m"
+OBSTACLES = (KEEP_OUT, GATES)
 YAW_RATE = "yaw_rate_rad_s"
 """Names of the margins to keep-out shapes, to the edges of gates and to the greatest rate of a free heading.
 

@@ -8,6 +8,7 @@ import time
 import numpy as np
 from numpy.typing import NDArray
 
+from trimtab.host.plan.box import OBSTACLES
 from trimtab.host.plan.job import Effort, Job
 from trimtab.host.plan.judge import Judged
 from trimtab.host.plan.result import Plan, PlanRefused
@@ -16,6 +17,7 @@ Array = NDArray[np.float64]
 
 _STRETCH_MAX = 8.0
 _HALVINGS = 10
+_GO_ROUND = "--kind min-control goes round it, or state a smaller --clearance"
 
 
 def plan_snap(job: Job, *, stretch: bool) -> Plan:
@@ -28,10 +30,9 @@ def plan_snap(job: Job, *, stretch: bool) -> Plan:
     factor, judged = 1.0, _attempt(job, durations, 1.0)
     if not judged.ok:
         if not stretch:
-            raise PlanRefused(
-                f"the min-snap plan is refused: {judged.message}; give it more time: --time-s, or --stretch",
-                judged.verdict,
-            )
+            in_the_way = judged.verdict.ok and any(judged.margins.get(name, 0.0) < 0.0 for name in OBSTACLES)
+            remedy = _GO_ROUND if in_the_way else "give it more time: --time-s, or --stretch"
+            raise PlanRefused(f"the min-snap plan is refused: {judged.message}; {remedy}", judged.verdict)
         factor, judged = _stretched(job, durations, judged)
     effort = Effort(status="solved", solve_s=time.process_time() - started, stretch=factor)
     return job.finish(judged, _times_s(durations * factor), effort)

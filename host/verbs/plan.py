@@ -148,7 +148,7 @@ def _headroom(low: float, high: float) -> LimitsOverride:
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
     """Return the plan as lines of text."""
-    from trimtab.host.plan.box import GATES, KEEP_OUT
+    from trimtab.host.plan.box import OBSTACLES
 
     first = (
         f"{target}: {plan.label}, {plan.duration_s:.2f} s, {plan.path_length_m:.1f} m, "
@@ -179,7 +179,7 @@ def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:
         )
         lines += [
             f"  {name} is {plan.margins[name]:.3f}: the route has no room for this clearance"
-            for name in (GATES, KEEP_OUT)
+            for name in OBSTACLES
             if plan.margins.get(name, plan.clearance_m) < plan.clearance_m - _ROUNDING_M
         ]
     margins = ", ".join(f"{name} {value:.3g}" for name, value in plan.margins.items())

@@ -157,6 +157,8 @@ def check(
     result = check_flight(flight, chosen)
     name = (chosen or flight.vehicle).name
     say(*to_lines(result))
+    if declared := flight.metadata.get("unknown", ""):
+        say(f"unknown: not judged, since the log leaves open {declared.replace(' ', ', ')}")
     answer = {
         "log": str(log),
         "vehicle": name,
