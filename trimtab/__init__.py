@@ -15,7 +15,9 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from trimtab.host.effects import load_effects
+    from trimtab.host.export.samples import sample
     from trimtab.host.learn.learn import learn
+    from trimtab.host.link.blob_files import read_reference
     from trimtab.host.log import read_flight
     from trimtab.host.models.file import read_model, write_model
     from trimtab.host.plan import plan, write_plan
@@ -31,6 +33,8 @@ __all__ = [
     "plan",
     "read_flight",
     "read_model",
+    "read_reference",
+    "sample",
     "trace",
     "write_model",
     "write_plan",
@@ -44,6 +48,8 @@ _HOMES = {
     "plan": ("trimtab.host.plan", "plan"),
     "read_flight": ("trimtab.host.log", "read_flight"),
     "read_model": ("trimtab.host.models.file", "read_model"),
+    "read_reference": ("trimtab.host.link.blob_files", "read_reference"),
+    "sample": ("trimtab.host.export.samples", "sample"),
     "trace": ("trimtab.host.trace.run", "run"),
     "write_model": ("trimtab.host.models.file", "write_model"),
     "write_plan": ("trimtab.host.plan", "write_plan"),
