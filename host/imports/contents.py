@@ -23,6 +23,16 @@ class Contents:
     notes: tuple[str, ...] = ()
 
 
+_SHORTEST_S = 1e-6
+"""A shorter time between samples is damaged."""
+
+
 def topic(name: str, count: int, duration_s: float) -> Topic:
     """Return a topic with `count` samples that span `duration_s`."""
-    return Topic(name=name, count=count, rate_hz=(count - 1) / duration_s if duration_s > 0.0 else 0.0)
+    rate_hz = max(0, count - 1) / duration_s if duration_s >= _SHORTEST_S else 0.0
+    return Topic(name=printable(name), count=count, rate_hz=rate_hz)
+
+
+def printable(name: str) -> str:
+    """Return a name from a file that may be damaged, in one line without control characters."""
+    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
@@ -31,6 +32,15 @@ class Sensors:
     force: tuple[Source, ...]
     voltage: tuple[Source, ...]
     reference: tuple[Source, ...] = ()
+
+
+def finite_numbers(parameters: Mapping[str, object]) -> dict[str, float]:
+    """Return the parameters that are finite numbers; a damaged file may hold others."""
+    return {
+        name: float(value)
+        for name, value in parameters.items()
+        if isinstance(value, int | float) and math.isfinite(value)
+    }
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

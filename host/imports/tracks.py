@@ -37,7 +37,8 @@ def command_shares(
     values: Annotated[np.ndarray, "rows 4"], zero: float, full: float
 ) -> Annotated[np.ndarray, "rows 4"]:
     """Return motor commands as shares of the full command. A stopped motor may be commanded below zero."""
-    return np.maximum((values - zero) / (full - zero), 0.0)
+    with np.errstate(over="ignore"):  # a recording refuses infinite commands
+        return np.maximum((values - zero) / (full - zero), 0.0)
 
 
 def turns_at(

@@ -69,8 +69,11 @@ def messages(store: Any, flight: Any, ros1: bool, vehicles: int) -> Iterator[tup
         yield "/cf0/motors", ACTUATORS, t_ns + 3_000_000, command
 
 
-def write_bag(flight: Any, path: Path, kind: str, vehicles: int = 1) -> None:
-    """The flight, in nwu and flu, as a bag of a kind: ros1, sqlite3 or mcap."""
+def write_bag(flight: Any, path: Path, kind: str, vehicles: int = 1, *, compressed: bool = False) -> None:
+    """The flight, in nwu and flu, as a bag of a kind: ros1, sqlite3 or mcap. The latter is a folder.
+
+    Chunks of ros1 and mcap can be compressed.
+    """
     from rosbags import rosbag1, rosbag2, typesys
 
     ros1 = kind == "ros1"
@@ -78,9 +81,13 @@ def write_bag(flight: Any, path: Path, kind: str, vehicles: int = 1) -> None:
     writer: Any
     if ros1:
         writer = rosbag1.Writer(path)
+        if compressed:
+            writer.set_compression(writer.CompressionFormat.LZ4)
     else:
         plugin = rosbag2.StoragePlugin.MCAP if kind == "mcap" else rosbag2.StoragePlugin.SQLITE3
         writer = rosbag2.Writer(path, version=9, storage_plugin=plugin)
+        if compressed:
+            writer.set_compression(rosbag2.CompressionMode.STORAGE, rosbag2.CompressionFormat.ZSTD)
     store.register(typesys.get_types_from_msg(ACTUATORS_FIELDS, ACTUATORS))
     connections: dict[str, Any] = {}
     with writer:

@@ -1,236 +1,494 @@
-"""Fuzzer of the readers of foreign logs: damaged logs of every format, read as an import reads them.
+"""Fuzzer of the readers of foreign logs: small valid logs of each format, damaged.
 
-python tests/fuzz/readers.py [--inputs N] [--seed S] [--formats F,..]     N inputs for each reader
+Whatever the bytes, a reader returns what the file holds or raises one ImportFormatError, or
+ConfigurationError for a map. It raises nothing else, warns of nothing, prints nothing, ends soon and needs
+little memory. Each input depends on reader, seed and index alone.
 
-Whatever the bytes, a reader returns what it found or raises one documented error, one line for each problem.
+python -m tests.fuzz.readers --inputs N --seed S     N inputs to each reader; crashes are saved as hex
 """
 
 from __future__ import annotations
 
 import argparse
-import struct
+import math
+import resource
+import signal
 import sys
 import tempfile
 import time
 import traceback
 import warnings
-import zlib
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
+from functools import lru_cache
+from io import StringIO
 from pathlib import Path
 from random import Random
-from types import SimpleNamespace
+from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
-if __name__ == "__main__":
-    sys.path.insert(0, str(Path(__file__).parents[2]))
-
-from tests.foreign import bag, dataflash, ulog
+from tests.foreign import bag, dataflash, tables, ulog, usd
+from tests.foreign.flight import MadeUp, in_axes, made_up
+from trimtab.host.base.progress import Progress
 from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.formats import FormatName, nanobench
+from trimtab.host.imports.contents import Contents
+from trimtab.host.imports.formats import FormatName
 from trimtab.host.imports.plausible import consistent_span
 from trimtab.host.vehicle import ConfigurationError
-from trimtab.sitl.studies.fuzz import mutations
+from trimtab.sitl.studies.fuzz.mutations import mutated_file, mutated_text
 
-BAGS = {"ros1": "ros1", "ros2-db3": "sqlite3", "ros2-mcap": "mcap"}
-"""Readers of bags, with the kind that `tests.foreign.bag` writes."""
-READERS = ("ulog", "dataflash", *BAGS, "betaflight", "crazyflie-usd", "nanobench", "csv")
-"""What is fuzzed: the formats, and a bag by each of its containers."""
-_MAP = """
-world = "enu"
+CPU_S = 20.0
+"""CPU time after which a reader hangs."""
+
+MEMORY_MIB = 256
+"""Memory by which the process may grow over a run."""
+
+CONTENTS_EVERY = 4
+"""One in so many inputs is also asked for its contents, which most readers parse the same way."""
+
+CRASHES_MAX = 20
+"""A reader with this many crashes ends early."""
+
+COLUMN_MAP = b"""world = "enu"
 body = "flu"
 time = "t"
 position_m = ["x", "y", "z"]
-euler = ["a", "b", "c"]
-gyro = ["d", "e", "f"]
-thrust_n = "T"
+euler = ["roll", "pitch", "yaw"]
+gyro = ["gx", "gy", "gz"]
+specific_force = ["fx", "fy", "fz"]
+motor_command = ["m1", "m2", "m3", "m4"]
+motor_command_zero = 0.0
+battery_v = "volt"
+reference_position_m = ["x", "y", "z"]
+unknown = ["torque"]
 """
-_USD = ("stateEstimate.x", "stateEstimate.y", "stateEstimate.z", "stateEstimate.roll", "stateEstimate.pitch")
-_USD += ("stateEstimate.yaw", "motor.m1", "motor.m2", "motor.m3", "motor.m4")
-_BETAFLIGHT = (
-    b"H Product:Blackbox flight data recorder by Nicholas Sherlock\nH looptime:125\nH P interval:1/2\n"
-    b"H Field I name:loopIteration,time,gyroADC[0],gyroADC[1],gyroADC[2],motor[0],motor[1]\n"
-    + bytes(range(200))
+TOPIC_MAP = b"""pose = "/cf0/pose"
+imu = "/cf0/imu"
+world = "nwu"
+motor_command_full = 1.0
+"""
+_CELLS = (
+    *("", "0", "-1", "1", "nan", "inf", "-inf", "1e308", "-1e308", "1e-320", "1e29", "2e5", "0x10", "1_0"),
+    *('"', '"a\nb"', "off", "\x00", "\ufeff", "١", "9" * 400),
 )
 
 
+class Broken(Exception):
+    """A rule is violated. The text says which."""
+
+
+class Hanging(BaseException):
+    """A reader takes too long. No reader catches it."""
+
+
+class Input(NamedTuple):
+    """The bytes of a log, and of the map to read it with if there is one."""
+
+    log: bytes
+    map: bytes | None = None
+
+
 @dataclass(frozen=True, kw_only=True)
-class Failure:
-    """An input on which a reader broke the rule, and how."""
+class Reader:
+    """A reader: its format, the file that it gets, its valid logs, and how an input is made from one."""
+
+    format: FormatName
+    file: str
+    seeds: Callable[[], tuple[bytes, ...]]
+    make: Callable[[Random, bytes], Input]
+    library: str | None = None
+
+
+@dataclass(frozen=True, kw_only=True)
+class Crash:
+    """An input that violated a rule."""
 
     reader: str
     index: int
     error: str
-    data: bytes
+    trace: str
+    data: Input
 
 
-def small_flight(rate_hz: int = 50, duration_s: float = 2.6) -> SimpleNamespace:
-    """A short flight in a slow circle with the motors at hover: enough for an import, little to parse."""
-    t = np.arange(0.0, duration_s, 1.0 / rate_hz)
-    turn = Rotation.from_euler("ZYX", np.column_stack([0.3 * t, 0.02 * np.sin(t), 0.02 * np.cos(t)]))
-    still = np.ones(len(t))
-    force = turn.inv().apply(np.column_stack([-0.3 * np.cos(t), -0.3 * np.sin(t), -9.8 * still]))
-    return SimpleNamespace(
-        t=t,
-        p=np.column_stack([0.3 * np.cos(t), 0.3 * np.sin(t), -1.2 * still]),
-        turn=turn,
-        gyro=np.column_stack([0.02 * np.cos(t), 0.02 * np.sin(t), 0.3 * still]),
-        force=force,
-        motor=np.full((len(t), 4), 0.5),
-        volt=np.full(len(t), 16.0),
+@dataclass(frozen=True, kw_only=True)
+class Report:
+    """Inputs, flights read among them, files whose contents were told, and crashes."""
+
+    inputs: int = 0
+    read: int = 0
+    told: int = 0
+    crashes: tuple[Crash, ...] = ()
+
+
+# Seeds: a part in the air at 12.5 Hz, which the checks compare, and the whole flight with its ground at
+# 2.5 Hz.
+
+
+def _flights() -> tuple[MadeUp, MadeUp]:
+    return made_up().cut(slice(400, 640, 8)), made_up().cut(slice(0, None, 40))
+
+
+def _ulogs() -> tuple[bytes, ...]:
+    part, whole = _flights()
+    plain, topics = ulog.topics_of(part), ulog.topics_of(whole)
+    for flight, held in ((part, plain), (whole, topics)):
+        fields, t_us, _ = held["battery_status"]
+        t_us = ulog.START_US + np.round(1e6 * flight.t[::4]).astype(int)
+        held["battery_status"] = (fields, t_us, flight.volt[::4, None])
+    fields, t_us, commands = topics.pop("actuator_motors")
+    outputs = [field.replace("control", "output") for field in fields]
+    topics["actuator_outputs"] = (outputs, t_us, 1100.0 + 800.0 * commands)
+    q = whole.turn.as_quat(scalar_first=True)
+    mocap = [*ulog.array("position", 3), *ulog.array("q", 4)]
+    topics["vehicle_mocap_odometry"] = (mocap, t_us, _side_by_side(whole.p, q))
+    pulses = {"PWM_MIN": 1100.0, "PWM_MAX": 1900.0, "CA_ROTOR0_PX": 1.0}
+    return ulog.ulog_bytes(plain, {}), ulog.ulog_bytes(topics, pulses)
+
+
+def _dataflashes() -> tuple[bytes, ...]:
+    part, whole = _flights()
+    pulses = {"MOT_PWM_MIN": 1100.0, "MOT_PWM_MAX": 1900.0}
+    return (
+        dataflash.log_bytes(part, {"FRAME_CLASS": 1.0, "FRAME_TYPE": 1.0}),
+        dataflash.log_bytes(whole, pulses),
     )
 
 
-def whole_log(reader: str, folder: Path) -> bytes:
-    """A log of the small flight for a reader."""
-    flight = small_flight()
-    if reader == "ulog":
-        return ulog.ulog_bytes(ulog.topics_of(flight), {"CA_ROTOR_COUNT": 4.0})
-    if reader == "dataflash":
-        return dataflash.log_bytes(flight, {"FRAME_CLASS": 1.0})
-    if reader in BAGS:
-        target = folder / ("a.bag" if reader == "ros1" else reader)
-        bag.write_bag(_north_west_up(flight), target, BAGS[reader])
-        return (target if reader == "ros1" else next(target.glob("*.[dm]*[3p]"))).read_bytes()
-    if reader == "betaflight":
-        return _BETAFLIGHT
-    if reader == "crazyflie-usd":
-        return _usd(flight)
-    columns = nanobench.COLUMNS if reader == "nanobench" else list("txyzabcdefT")
-    t, angles = flight.t[:, None], flight.turn.as_euler("xyz")
-    table = np.column_stack([t, flight.p, angles, flight.gyro, 4.0 * np.ones_like(t)])
-    if reader == "nanobench":
-        turned = _north_west_up(flight)
-        values = dict.fromkeys(columns, np.zeros(len(t)))
-        named = zip(nanobench.COLUMNS[:8], [flight.t, *turned.p.T, *turned.turn.as_quat().T], strict=True)
-        values |= dict(named) | {name: 3e4 + values[name] for name in columns if "motor_m" in name}
-        values["imu_acc_z"] = np.ones(len(t))
-        table = np.column_stack([values[name] for name in columns])
-    rows = [",".join(columns), *(",".join(f"{value:.5g}" for value in row) for row in table.tolist())]
-    return "\n".join(rows).encode()
+def _bags(kind: str) -> tuple[bytes, ...]:
+    _remember_definitions()
+    part, whole = (in_axes(flight, "nwu", "flu") for flight in _flights())
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for name, flight, compressed in (("part", part, False), ("whole", whole, kind != "sqlite3")):
+            path = Path(folder) / name
+            bag.write_bag(flight, path, kind, compressed=compressed)
+            file = path if kind == "ros1" else next(p for p in path.iterdir() if p.suffix != ".yaml")
+            found.append(file.read_bytes())
+    return tuple(found)
 
 
-def _north_west_up(flight: SimpleNamespace) -> SimpleNamespace:
-    """The flight with the axes of ROS, from NED and FRD."""
-    flip, half = np.array([1.0, -1.0, -1.0]), Rotation.from_rotvec([np.pi, 0.0, 0.0])
-    turned = {name: getattr(flight, name) * flip for name in ("p", "gyro", "force")}
-    return SimpleNamespace(**{**vars(flight), **turned, "turn": half * flight.turn * half})
+@lru_cache
+def _remember_definitions() -> None:
+    """Let rosbags parse and compile equal definitions of messages once, which it does for every bag."""
+    from rosbags.highlevel import anyreader
+    from rosbags.serde import utils
+    from rosbags.typesys import store
+
+    @lru_cache(1000)
+    def compiled(code: str) -> Any:
+        return compile(code, "definitions", "exec")
+
+    def execute(code: str, names: dict[str, Any]) -> None:
+        exec(compiled(code), names)
+
+    vars(anyreader)["get_types_from_msg"] = lru_cache(1000)(anyreader.get_types_from_msg)
+    vars(utils)["exec"] = vars(store)["exec"] = execute
 
 
-def _usd(flight: SimpleNamespace) -> bytes:
-    head = struct.pack("<BHHH", 0xBC, 2, 1, 1) + b"fixedFrequency\0" + struct.pack("<H", len(_USD))
-    head += b"".join(f"{name}(f)".encode() + b"\0" for name in _USD)
-    angles = np.degrees(flight.turn.as_euler("xyz"))
-    values = np.column_stack([-flight.p, angles, 3e4 * np.ones((len(flight.t), 4))])
-    rows = zip((1e6 * flight.t).astype(int).tolist(), values.tolist(), strict=True)
-    body = head + b"".join(struct.pack(f"<HQ{len(row)}f", 1, t, *row) for t, row in rows)
-    return with_sum(body)
+def _usds() -> tuple[bytes, ...]:
+    part, whole = _flights()
+    f = in_axes(part, "nwu", "flu")
+    q = f.turn.as_quat(scalar_first=True)
+    pose = tuple((f"stateEstimate.{name}", "f") for name in ("x", "y", "z", "qw", "qx", "qy", "qz"))
+    fast = tuple((name, "f") for name in ("gyro.x", "gyro.y", "gyro.z", "acc.x", "acc.y", "acc.z"))
+    motors = tuple((f"motor.m{k}", "H") for k in (1, 2, 3, 4))
+    records: list[tuple[int, int, Any]] = []
+    for k, t in enumerate((1e6 * f.t).round().astype(int).tolist()):
+        pwm = (65535 * f.motor[k]).round().astype(int).tolist()
+        records += [(3, t, [*(57.3 * f.gyro[k]), *(f.force[k] / 9.81), *pwm]), (2, t, [*f.p[k], *q[k]])]
+    other = usd.usd_bytes([(2, "pose", pose), (3, "fast", (*fast, *motors))], records, version=2)
+    return other, usd.usd_flight(part, version=1), usd.usd_flight(whole, version=2)
 
 
-def with_sum(body: bytes) -> bytes:
-    """The content of a uSD log with its checksum."""
-    return body + struct.pack("<I", zlib.crc32(body))
+def _tables(columns: Callable[[MadeUp], tables.Columns]) -> tuple[bytes, ...]:
+    found = []
+    with tempfile.TemporaryDirectory() as folder:
+        for flight in _flights():
+            found.append(tables.write_csv(Path(folder) / "a.csv", columns(flight)).read_bytes())
+    return tuple(found)
 
 
-def damaged(reader: str, rng: Random, content: bytes) -> bytes:
-    """The log with a few mutations; a uSD log mostly with a checksum that is right again."""
-    if reader == "crazyflie-usd" and rng.random() < 0.9:
-        return with_sum(mutations.mutated_file(rng, content[:-4]))
-    if reader in ("csv", "nanobench") and rng.random() < 0.5:
-        return mutations.mutated_text(rng, content)
-    return mutations.mutated_file(rng, content)
+def _csv_columns(flight: MadeUp) -> dict[str, Any]:
+    f = in_axes(flight, "enu", "flu")
+    named = {
+        ("x", "y", "z"): f.p,
+        ("yaw", "pitch", "roll"): f.turn.as_euler("ZYX"),
+        ("gx", "gy", "gz"): f.gyro,
+        ("fx", "fy", "fz"): f.force,
+        ("m1", "m2", "m3", "m4"): f.motor,
+    }
+    columns = {name: values[:, i] for names, values in named.items() for i, name in enumerate(names)}
+    return {"t": f.t, **columns, "volt": f.volt}
 
 
-def target_of(reader: str, folder: Path) -> Path:
-    """The path under which a reader gets its input; that of a ROS 2 bag has its own metadata beside it."""
-    names = {"ros1": "a.bag", "ros2-db3": "a.db3", "ros2-mcap": "a.mcap"}
-    return folder / names.get(reader, "log")
-
-
-def give(reader: str, data: bytes, folder: Path) -> bool:
-    """Recognise, list and read a log as an import does. Return whether it was read.
-
-    Raises what a reader must not raise.
-    """
-    path = target_of(reader, folder)
-    path.write_bytes(data)
-    columns = None
-    if reader == "csv":
-        columns = folder / "map.toml"
-        columns.write_text(_MAP)
-    name: FormatName = "rosbag" if reader in BAGS else reader  # type: ignore[assignment]
-    acts: tuple[Callable[[], object], ...] = (
-        lambda: formats.recognise(path),
-        lambda: formats.module(name).contents(path),
-        lambda: _read(name, path, columns),
+def _blackbox() -> tuple[bytes, ...]:
+    return (
+        b"H Product:Blackbox flight data recorder by Nicholas Sherlock\n"
+        b"H Field I name:loopIteration,time,gyroADC[0],motor[0]\n"
+        b"H looptime:125\nH P interval:1/4\n" + b"I\x00\x01" * 50,
     )
-    done = False
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        for act in acts:
-            done = False
+
+
+def _side_by_side(*columns: Any) -> Any:
+    return np.column_stack(columns)
+
+
+# Inputs.
+
+
+def _bytes(rng: Random, seed: bytes) -> Input:
+    return Input(mutated_file(rng, seed))
+
+
+def _summed(rng: Random, seed: bytes) -> Input:
+    """A uSD log whose checksum is right in most inputs, so that the damage reaches the decoder."""
+    if rng.random() < 0.1:
+        return _bytes(rng, seed)
+    return Input(usd.with_sum(mutated_file(rng, seed[:-4])))
+
+
+def _cells(rng: Random, seed: bytes) -> Input:
+    """A table with other cells, rows and, in some inputs, bytes."""
+    if rng.random() < 0.2:
+        return _bytes(rng, seed)
+    lines = seed.decode().splitlines()
+    for _ in range(rng.choice((1, 1, 2, 5))):
+        act, at = rng.randrange(6), rng.randrange(len(lines))
+        cells = lines[at].split(",")
+        if act <= 2:
+            cells[rng.randrange(len(cells))] = rng.choice(_CELLS)
+        elif act == 3:
+            k = rng.randrange(len(cells))
+            cells[k:k] = rng.choice(([], ["0"])) if rng.random() < 0.5 else cells[k : k + 2]
+        elif act == 4:
+            lines.insert(rng.randrange(len(lines)), lines[at])
+        elif len(lines) > 1:
+            del lines[at : at + min(rng.choice((1, 1, 4, 10_000)), len(lines) - 1)]
+            continue
+        lines[at] = ",".join(cells)
+    return Input(rng.choice(("\n", "\n", "\r\n", "\r")).join(lines).encode())
+
+
+def _mapped(valid: bytes, make: Callable[[Random, bytes], Input]) -> Callable[[Random, bytes], Input]:
+    """Inputs with a map, one in eight of which is damaged."""
+
+    def make_both(rng: Random, seed: bytes) -> Input:
+        if rng.random() < 0.125:
+            return Input(seed, mutated_text(rng, valid))
+        return Input(make(rng, seed).log, valid)
+
+    return make_both
+
+
+def _maybe_mapped(valid: bytes) -> Callable[[Random, bytes], Input]:
+    """Inputs of which one in eight has a map."""
+    with_map = _mapped(valid, _bytes)
+    return lambda rng, seed: with_map(rng, seed) if rng.random() < 0.125 else _bytes(rng, seed)
+
+
+READERS: dict[str, Reader] = {
+    "ulog": Reader(format="ulog", file="a.ulg", seeds=_ulogs, make=_bytes, library="pyulog"),
+    "dataflash": Reader(format="dataflash", file="a.bin", seeds=_dataflashes, make=_bytes),
+    "bag": Reader(
+        format="rosbag",
+        file="a.bag",
+        seeds=lambda: _bags("ros1"),
+        make=_maybe_mapped(TOPIC_MAP),
+        library="rosbags",
+    ),
+    "db3": Reader(
+        format="rosbag",
+        file="a.db3",
+        seeds=lambda: _bags("sqlite3"),
+        make=_maybe_mapped(TOPIC_MAP),
+        library="rosbags",
+    ),
+    "mcap": Reader(
+        format="rosbag",
+        file="a.mcap",
+        seeds=lambda: _bags("mcap"),
+        make=_maybe_mapped(TOPIC_MAP),
+        library="rosbags",
+    ),
+    "betaflight": Reader(format="betaflight", file="a.bbl", seeds=_blackbox, make=_bytes),
+    "crazyflie-usd": Reader(format="crazyflie-usd", file="log07", seeds=_usds, make=_summed),
+    "nanobench": Reader(
+        format="nanobench", file="a.csv", seeds=lambda: _tables(tables.nanobench_columns), make=_cells
+    ),
+    "csv": Reader(
+        format="csv", file="a.csv", seeds=lambda: _tables(_csv_columns), make=_mapped(COLUMN_MAP, _cells)
+    ),
+}
+
+
+@lru_cache
+def seeds_of(name: str) -> tuple[bytes, ...]:
+    """Return the valid logs of a reader."""
+    return READERS[name].seeds()
+
+
+def input_of(name: str, seed: int, index: int) -> Input:
+    """Return the input with an index."""
+    rng = Random(f"{name} {seed} {index}")
+    return READERS[name].make(rng, rng.choice(seeds_of(name)))
+
+
+def run(name: str, inputs: int, seed: int, on_progress: Callable[[int], None] = lambda done: None) -> Report:
+    """Give a reader so many inputs."""
+    read = told = index = 0
+    crashes: list[Crash] = []
+    seeds_of(name)
+    with _folder() as folder, _guarded() as check_memory:
+        for index in range(inputs):
+            data = input_of(name, seed, index)
             try:
-                act()
-            except (ImportFormatError, ConfigurationError) as error:
-                if "\r" in str(error) or not all(str(error).split("\n")):
-                    raise AssertionError(f"not one line for each problem: {str(error)!r}") from error
+                found = give(READERS[name], data, folder, contents=index % CONTENTS_EVERY == 0)
+                check_memory()
+            except (Exception, Hanging) as error:
+                trace = "".join(traceback.format_exception(error))
+                line = f"{type(error).__name__}: {error}"
+                crashes.append(Crash(reader=name, index=index, error=line, trace=trace, data=data))
+                if len(crashes) == CRASHES_MAX:
+                    break
             else:
-                done = True
-    return done
+                told += found.told
+                read += found.read
+            on_progress(index + 1)
+    return Report(inputs=index + 1, read=read, told=told, crashes=tuple(crashes))
 
 
-def _read(name: FormatName, path: Path, columns: Path | None) -> None:
-    found = formats.read(name, path, columns)
-    consistent_span(found, airborne(found))
+class Outcome(NamedTuple):
+    """Whether the contents were told and the flight was read."""
+
+    told: bool
+    read: bool
 
 
-def run(reader: str, inputs: int, seed: int) -> tuple[int, list[Failure]]:
-    """Give a reader this number of inputs; return how many it read, and its failures."""
-    failures, valid = [], 0
-    with tempfile.TemporaryDirectory(dir="/dev/shm" if Path("/dev/shm").is_dir() else None) as name:
-        folder = Path(name)
-        content = whole_log(reader, folder)
-        for index, data in zip(range(inputs), _inputs(reader, seed, content), strict=False):
-            try:
-                valid += give(reader, data, folder)
-            except Exception as error:
-                text = "".join(traceback.format_exception(error))
-                failures.append(Failure(reader=reader, index=index, error=text, data=data))
-    return valid, failures
+def give(reader: Reader, data: Input, folder: Path, *, contents: bool) -> Outcome:
+    """Give an input to a reader as an import does, and tell its contents if asked.
+
+    Raises Broken, or whatever the reader should not raise.
+    """
+    path, map_path = folder / reader.file, folder / "map.toml"
+    path.write_bytes(data.log)
+    if data.map is not None:
+        map_path.write_bytes(data.map)
+    columns, topics = (None, None) if data.map is None else (map_path, None)
+    if reader.format == "rosbag":
+        columns, topics = topics, columns
+    printed = StringIO()
+    with warnings.catch_warnings(record=True) as warned, redirect_stdout(printed), redirect_stderr(printed):
+        warnings.simplefilter("always")
+        signal.setitimer(signal.ITIMER_PROF, CPU_S)
+        try:
+            _refused(lambda: formats.recognise(path), path)
+            held = _refused(lambda: formats.module(reader.format).contents(path), path) if contents else None
+            recording = _refused(lambda: formats.read(reader.format, path, columns, topics), path, map_path)
+            if recording is not None:
+                _refused(lambda: consistent_span(recording, airborne(recording)), path, lines=True)
+        finally:
+            signal.setitimer(signal.ITIMER_PROF, 0.0)
+    if warned:
+        raise Broken(f"warns: {warned[0].category.__name__}: {warned[0].message} at {warned[0].filename}")
+    if printed.getvalue():
+        raise Broken(f"prints {printed.getvalue()[:200]!r}")
+    if held is not None:
+        _check_contents(held)
+    return Outcome(held is not None, recording is not None)
 
 
-def _inputs(reader: str, seed: int, content: bytes) -> Iterator[bytes]:
-    rng = Random(f"{reader} {seed}")
-    yield content
-    while True:
-        yield damaged(reader, rng, content)
+def _refused(
+    act: Callable[[], Any], path: Path, map_path: Path | None = None, *, lines: bool = False
+) -> Any | None:
+    """Return what `act` returns; None if it refuses the file in one line, or in several if it may."""
+    try:
+        return act()
+    except ConfigurationError as error:
+        if map_path is None:
+            raise
+        for problem in error.problems:
+            _check_line(problem, map_path.name)
+    except ImportFormatError as error:
+        for line in str(error).split("\n") if lines else [str(error)]:
+            _check_line(line, path.name)
+    return None
+
+
+def _check_line(line: str, name: str) -> None:
+    if not line.isprintable() or name not in line:
+        raise Broken(f"an error that is not one line with the name of the file: {line[:2000]!r}")
+
+
+def _check_contents(contents: Contents) -> None:
+    numbers = [contents.duration_s, *(topic.rate_hz for topic in contents.topics)]
+    if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
+        raise Broken(f"contents with impossible numbers: {contents}")
+    for words in (*contents.notes, *(topic.name for topic in contents.topics)):
+        if not words.isprintable():
+            raise Broken(f"contents with a name that is not printable: {words[:200]!r}")
+
+
+@contextmanager
+def _folder() -> Iterator[Path]:
+    """A folder in memory if the machine has one."""
+    memory = Path("/dev/shm")
+    with tempfile.TemporaryDirectory(dir=memory if memory.is_dir() else None) as folder:
+        yield Path(folder)
+
+
+@contextmanager
+def _guarded() -> Iterator[Callable[[], None]]:
+    """Bound the CPU time of each input, and the growth of memory by the function that is returned."""
+
+    def hang(*_: object) -> None:
+        raise Hanging(f"more than {CPU_S:g} s of CPU time")
+
+    def check_memory() -> None:
+        grown = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before
+        if grown > MEMORY_MIB * 1024:
+            raise Broken(f"memory grew by {grown // 1024} MiB")
+
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    previous = signal.signal(signal.SIGPROF, hang)
+    try:
+        yield check_memory
+    finally:
+        signal.signal(signal.SIGPROF, previous)
 
 
 def main(words: list[str] | None = None) -> int:
-    """Fuzz the readers and return 1 if any broke the rule. The inputs of failures are written as files."""
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--inputs", type=int, default=100_000, help="for each reader")
+    """Run the fuzzer and return the exit code: 0 without crashes, 1 with crashes."""
+    parser = argparse.ArgumentParser(prog="python -m tests.fuzz.readers", description=__doc__)
+    parser.add_argument("--inputs", type=int, default=1_000, help="to each reader")
     parser.add_argument("--seed", type=int, default=0)
-    parser.add_argument("--formats", default=",".join(READERS))
+    parser.add_argument("--readers", default=",".join(READERS), help="some of %(default)s")
+    parser.add_argument("--replay", metavar="READER:INDEX", help="give this input alone")
+    parser.add_argument("--save", type=Path, default=Path(), help="folder for crashing inputs")
     arguments = parser.parse_args(words)
-    broken = 0
-    for reader in arguments.formats.split(","):
-        begin = time.monotonic()
-        valid, failures = run(reader, arguments.inputs, arguments.seed)
-        took = time.monotonic() - begin
+    if arguments.replay:
+        name, _, index = arguments.replay.partition(":")
+        with _folder() as folder, _guarded():
+            print(give(READERS[name], input_of(name, arguments.seed, int(index)), folder, contents=True))
+        return 0
+    crashed = False
+    for name in arguments.readers.split(","):
+        begin = time.process_time()
+        with Progress(name, arguments.inputs) as bar:
+            report = run(name, arguments.inputs, arguments.seed, bar.update)
+        for crash in report.crashes:
+            path = arguments.save / f"fuzz-{name}-{arguments.seed}-{crash.index}.hex"
+            path.write_text(f"{crash.data.log.hex()}\n", encoding="ascii")
+            print(f"{name}:{crash.index}: {crash.error}; input in {path}", file=sys.stderr)
+        crashed = crashed or bool(report.crashes)
         print(
-            f"{reader}: {arguments.inputs} inputs, {valid} read, {len(failures)} failures, {took:.0f} s",
+            f"{name}: {report.inputs} inputs, {report.told} with contents, {report.read} flights read, "
+            f"{len(report.crashes)} crashes, {time.process_time() - begin:.1f} s of CPU time",
             flush=True,
         )
-        for failure in {each.error: each for each in failures}.values():
-            path = Path(f"fuzz-{failure.reader}-{arguments.seed}-{failure.index}.bin")
-            path.write_bytes(failure.data)
-            print(f"{path}:\n{failure.error}", file=sys.stderr)
-        broken += len(failures)
-    return 1 if broken else 0
+    return 1 if crashed else 0
 
 
 if __name__ == "__main__":

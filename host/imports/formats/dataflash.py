@@ -7,18 +7,18 @@ from __future__ import annotations
 
 import warnings
 from array import array
-from contextlib import closing, redirect_stderr, redirect_stdout
-from io import StringIO
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.extras import quiet
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import turn_from_euler
 from trimtab.host.imports.recording import Corner, ImportFormatError, Recording, check_readable, corner_of
-from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
+from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog, finite_numbers
 from trimtab.host.imports.tracks import Track, command_shares
 from trimtab.host.vehicle.dumps import ARDUPILOT_QUADS
 
@@ -112,7 +112,8 @@ def _log(path: Path) -> TopicLog:
     rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]] = {}
     parameters: dict[str, float] = {}
     try:
-        _read(path, [*wanted, "PARM"], rows, parameters)
+        with quiet():
+            _read(path, [*wanted, "PARM"], rows, parameters)
     except Exception as error:
         if not any(len(times) for _, times, _ in rows.values()):
             # DFReader reports damage by whatever exception its parser ran into.
@@ -136,7 +137,7 @@ def _log(path: Path) -> TopicLog:
         topics=topics,
         start_us=start_us,
         duration_s=(end_us - start_us) * 1e-6,
-        parameters=parameters,
+        parameters=finite_numbers(parameters),
     )
 
 
@@ -149,8 +150,8 @@ def _read(
     """Fill the rows of the named messages, numbers only, and the parameters."""
     from pymavlink.DFReader import DFReader_binary
 
-    # DFReader prints what it cannot read, and leaves the file open if it cannot read the beginning.
-    with warnings.catch_warnings(), redirect_stderr(StringIO()), redirect_stdout(StringIO()):
+    # DFReader leaves the file open if it cannot read the beginning.
+    with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
         reader: Any = DFReader_binary(str(path))
         with closing(reader.filehandle):

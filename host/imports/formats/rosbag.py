@@ -10,6 +10,7 @@ from __future__ import annotations
 from array import array
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -17,7 +18,7 @@ import numpy as np
 from pydantic import Field, model_validator
 
 from trimtab.host.base.extras import optional
-from trimtab.host.imports.contents import Contents, topic
+from trimtab.host.imports.contents import Contents, printable, topic
 from trimtab.host.imports.formats.ulog import CORNERS as PX4_CORNERS
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_quaternion
@@ -235,13 +236,12 @@ class _Bag:
     """An open bag. A context manager."""
 
     def __init__(self, path: Path) -> None:
-        highlevel, typesys = optional("rosbags.highlevel", "logs"), optional("rosbags.typesys", "logs")
+        highlevel = optional("rosbags.highlevel", "logs")
         self._name = path.name
         if not path.exists():
             raise ImportFormatError(f"{path}: cannot be read (no such file); check the path")
-        store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
         try:
-            self._reader: Any = highlevel.AnyReader([path], default_typestore=store)
+            self._reader: Any = highlevel.AnyReader([path], default_typestore=_types())
             self._reader.open()
         except Exception as error:
             raise self._damaged(error) from None
@@ -296,7 +296,8 @@ class _Bag:
                 able = [c for c in able if c.topic == given]
                 if not able:
                     raise ImportFormatError(
-                        f"{self._name}: no topic {given} with messages for {quantity}; correct the topic map"
+                        f"{self._name}: no topic {printable(given)} with messages for {quantity}; "
+                        "correct the topic map"
                     )
             able.sort(key=lambda c: (order.index(c.msgtype), -c.msgcount, c.topic))
             if not able:
@@ -306,7 +307,7 @@ class _Bag:
                 c for c in others if c.msgtype == first.msgtype and c.msgcount > _SIMILAR * first.msgcount
             ]
             if quantity == "pose" and rivals:
-                names = ", ".join(c.topic for c in (first, *rivals))
+                names = printable(", ".join(c.topic for c in (first, *rivals)))
                 raise ImportFormatError(f"{self._name}: several vehicles ({names}); name one in a topic map")
             chosen[quantity] = first
         return chosen
@@ -316,6 +317,13 @@ class _Bag:
         return ImportFormatError(
             f"{self._name}: not a whole bag ({type(error).__name__}); repair it with the tools of ROS"
         )
+
+
+@cache
+def _types() -> Any:
+    """Return the types of a bag that does not define its own."""
+    typesys = optional("rosbags.typesys", "logs")
+    return typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
 
 
 def _stamp_us(message: Any) -> int:

@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import numpy as np
 
-from trimtab.host.imports.contents import Contents, topic
+from trimtab.host.imports.contents import Contents, printable, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError, reading
 
 if TYPE_CHECKING:
@@ -76,7 +76,7 @@ def table_contents(path: Path, time: str | None = None) -> Contents:
     duration_s = 0.0
     if time is not None:
         times = table(path, [time]).columns[time]
-        count, duration_s = len(times), float(times[-1] - times[0])
+        count, duration_s = len(times), float(np.ptp(times))
     return Contents(topics=tuple(topic(name, count, duration_s) for name in names), duration_s=duration_s)
 
 
@@ -89,10 +89,10 @@ def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
     header = _names(reader)
     missing = [column for column in needed if column not in header]
     if missing:
-        raise ImportFormatError(f"{name}: no column {', '.join(missing)}; is it another format?")
+        raise ImportFormatError(f"{name}: no column {printable(', '.join(missing))}; is it another format?")
     twice = [column for column in needed if header.count(column) > 1]
     if twice:
-        raise ImportFormatError(f"{name}: two columns are named {', '.join(twice)}; rename one")
+        raise ImportFormatError(f"{name}: two columns are named {printable(', '.join(twice))}; rename one")
     at = [header.index(column) for column in needed]
     rows: list[list[float]] = []
     first, skipped = "", 0
@@ -103,7 +103,7 @@ def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
         wrong = [column for column, value in zip(needed, row, strict=True) if not abs(value) < READABLE]
         if wrong:
             skipped += 1
-            first = first or f"line {reader.line_num}: {wrong[0]} is not a finite number"
+            first = first or f"line {reader.line_num}: {printable(wrong[0])} is not a finite number"
         else:
             rows.append(row)
     if skipped > SKIPPED_MAX * (skipped + len(rows)):

@@ -7,15 +7,15 @@ the mixer if they were logged, else pulse widths.
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping
-from contextlib import redirect_stdout
-from io import StringIO
+from io import SEEK_CUR, SEEK_SET, BufferedReader, FileIO
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from trimtab.host.base.extras import optional
+from trimtab.host.base.extras import optional, quiet
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.frames import turn_from_quaternion
 from trimtab.host.imports.recording import (
@@ -23,10 +23,10 @@ from trimtab.host.imports.recording import (
     ImportFormatError,
     Recording,
     Unknown,
-    check_readable,
     corner_of,
+    reading,
 )
-from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog
+from trimtab.host.imports.topics import Sensors, Source, Topic, TopicLog, finite_numbers
 from trimtab.host.imports.tracks import Track, command_shares
 
 MAGIC = b"ULog\x01\x12\x35"
@@ -134,29 +134,50 @@ def _corners(parameters: Mapping[str, float]) -> tuple[Corner, Corner, Corner, C
 def _log(path: Path) -> TopicLog:
     """Return the topics of the file, the first instance of each."""
     pyulog = optional("pyulog", "logs")
-    check_readable(path)
-    try:
-        # pyulog prints what it cannot read, and leaves a file open that it opened itself and cannot read.
-        with path.open("rb") as stream, redirect_stdout(StringIO()):
+    with reading(path):
+        stream = _Forwards(FileIO(path))
+    with stream, quiet():
+        try:
             file: Any = pyulog.ULog(stream, disable_str_exceptions=True)
-    except Exception as error:
-        # pyulog reports damage by whatever exception its parser ran into.
-        raise ImportFormatError(
-            f"{path.name}: not a whole ULog ({type(error).__name__}); copy it from the vehicle again"
-        ) from None
+        except Exception as error:
+            # pyulog reports damage by whatever exception its parser ran into.
+            raise ImportFormatError(
+                f"{path.name}: not a whole ULog ({type(error).__name__}); copy it from the vehicle again"
+            ) from None
+    if file.start_timestamp > np.iinfo(np.int64).max:
+        raise ImportFormatError(f"{path.name}: its start is damaged; copy it from the vehicle again")
     topics: dict[str, Topic] = {}
     for data in file.data_list:
-        if len(data.data.get("timestamp", ())):  # damage may rename a field
-            topics.setdefault(
-                data.name, Topic(t_us=data.data["timestamp"].astype(np.int64), columns=data.data)
-            )
+        times = data.data.get("timestamp")
+        # In a damaged definition, the times have another name or type.
+        if times is not None and times.dtype.kind == "u" and len(times):
+            topics.setdefault(data.name, Topic(t_us=times.astype(np.int64), columns=data.data))
     if not topics:
         raise ImportFormatError(f"{path.name}: no data; was the log stopped before take-off?")
     return TopicLog(
         name=path.name,
         topics=topics,
         start_us=int(file.start_timestamp),
-        duration_s=(int(file.last_timestamp) - int(file.start_timestamp)) * 1e-6,
-        parameters=dict(file.initial_parameters),
+        duration_s=max(0, int(file.last_timestamp) - int(file.start_timestamp)) * 1e-6,
+        parameters=finite_numbers(file.initial_parameters),
         damaged=bool(file.file_corruption),
     )
+
+
+class _Forwards(BufferedReader):
+    """A file that does not let pyulog read the last definition of a truncated file for ever."""
+
+    def __init__(self, raw: FileIO) -> None:
+        super().__init__(raw)
+        self._from_end: Counter[int] = Counter()
+
+    def seek(self, target: int, whence: int = SEEK_SET, /) -> int:
+        """Go to a position. Raises EOFError for the third way back from the end by the same length.
+
+        The first two are the ends of the definitions and of the data.
+        """
+        if whence == SEEK_CUR and not self.peek(1):
+            self._from_end[target] += 1
+            if self._from_end[target] > 2:
+                raise EOFError
+        return super().seek(target, whence)

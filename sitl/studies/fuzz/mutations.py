@@ -41,12 +41,12 @@ def mutated(rng: Random, pieces: Sequence[bytes], most: int) -> bytes:
 
 
 def mutated_file(rng: Random, content: bytes) -> bytes:
-    """Return a damaged binary file: bits and bytes changed, parts cut, repeated or replaced."""
+    """Return a damaged binary file: bits, numbers and lengths changed, parts cut, repeated or moved."""
     data = bytearray(content)
     for _ in range(rng.choice((1, 1, 2, 4))):
         if not data:
             break
-        act, at = rng.randrange(7), rng.randrange(len(data))
+        act, at = rng.randrange(9), rng.randrange(len(data))
         size = rng.choice((1, 2, 4, 8, 52, rng.randrange(1, 1 + len(data))))
         if act <= 1:
             data[at] ^= 1 << rng.randrange(8)
@@ -58,9 +58,16 @@ def mutated_file(rng: Random, content: bytes) -> bytes:
             del data[at : at + size]
         elif act == 5:
             data[at:at] = data[at : at + size]
-        else:
+        elif act == 6:
             size = min(size, 8)
             data[at : at + size] = struct.pack("<d", rng.choice(REALS))[:size]
+        elif act == 7:
+            width = rng.choice((1, 2, 4, 8))
+            value = rng.choice((0, 1, len(data), 1 << 8 * width - 1, -1, -2)) % (1 << 8 * width)
+            data[at : at + width] = value.to_bytes(width, "little")
+        else:
+            other = rng.randrange(len(data))
+            data[at : at + size] = data[other : other + size]
     return bytes(data)
 
 

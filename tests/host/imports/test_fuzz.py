@@ -1,4 +1,4 @@
-"""Whatever the bytes: a recording or one ImportFormatError, and nothing else."""
+"""Whatever the values and maps: a recording or one error, and nothing else. tests/fuzz damages whole logs."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.formats import FormatName, crazyflie_usd, nanobench, usd_events
+from trimtab.host.imports.formats import FormatName, crazyflie_usd, nanobench
 from trimtab.host.imports.plausible import consistent_span
 from trimtab.host.vehicle import ConfigurationError
 
@@ -52,27 +52,6 @@ def refused_or_read(format: FormatName, path: Path, columns: Path | None = None)
         assert str(error)  # noqa: PT017 (either outcome is good)
 
 
-@MORE
-@given(data=st.binary(max_size=400))
-def test_any_bytes_are_refused_or_read(tmp_path: Path, data: bytes) -> None:
-    path = tmp_path / "log"
-    path.write_bytes(data)
-    (tmp_path / "map.toml").write_text(MAP)
-    refused_or_read("nanobench", path)
-    refused_or_read("crazyflie-usd", path)
-    refused_or_read("csv", path, tmp_path / "map.toml")
-
-
-@MORE
-@given(data=st.binary(max_size=300), version=st.sampled_from([1, 2]), events=st.integers(0, 3))
-def test_any_usd_body_with_a_good_sum_is_refused_or_read(data: bytes, version: int, events: int) -> None:
-    body = struct.pack("<BHH", 0xBC, version, events) + data
-    try:
-        usd_events.decode(body + struct.pack("<I", zlib.crc32(body)), "log")
-    except ImportFormatError as error:
-        assert "\n" not in str(error)  # noqa: PT017
-
-
 def _usd_log(version: int, names: list[str], letters: list[str], rows: list[bytes]) -> bytes:
     head = struct.pack("<BHHH", 0xBC, version, 1, 1) + b"x\0" + struct.pack("<H", len(names))
     variables = zip(names, letters, strict=True)
@@ -100,27 +79,28 @@ def test_usd_log_of_any_values_is_refused_or_read(
     refused_or_read("crazyflie-usd", path)
 
 
-number = st.one_of(
-    st.floats().map(str), st.integers(-5, 5).map(str), st.text(max_size=4), st.sampled_from(["1e308", "-0"])
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [["0", *["1e308"] * 7, *["0"] * 11], ["1", *["-1e308"] * 7, *["0"] * 11]],
+        [["0", *["0"] * 3, "0", "0", "0", "1", *["0"] * 11], ["9"] * 19],
+    ],
 )
-
-
-@MORE
-@given(rows=st.lists(st.lists(number, min_size=1, max_size=len(nanobench.COLUMNS) + 1), max_size=4))
-@example(rows=[["0", *["1e308"] * 7, *["0"] * 11], ["1", *["-1e308"] * 7, *["0"] * 11]])
-@example(rows=[["0", *["0"] * 3, "0", "0", "0", "1", *["0"] * 11], ["9"] * 19])
-def test_nanobench_of_any_cells_is_refused_or_read(tmp_path: Path, rows: list[list[str]]) -> None:
+def test_nanobench_of_extreme_cells_is_refused_or_read(tmp_path: Path, rows: list[list[str]]) -> None:
     path = tmp_path / "log"
     lines = [nanobench.COLUMNS, *rows]
     path.write_text("\n".join(",".join(line) for line in lines), encoding="utf-8", newline="")
     refused_or_read("nanobench", path)
 
 
-@MORE
-@given(rows=st.lists(st.lists(st.floats(), min_size=11, max_size=11), min_size=2, max_size=8))
-@example(rows=[[0.0, *[1e308] * 10], [3.0, *[-1e308] * 10], [6.0, *[1e308] * 10]])
-@example(rows=[[float(k), 1e300, -1e300, 1e-300, k, 0.0, 0.0, 1e200, 0.0, 0.0, 1.0] for k in range(8)])
-def test_csv_of_any_numbers_is_refused_or_read(tmp_path: Path, rows: list[list[float]]) -> None:
+@pytest.mark.parametrize(
+    "rows",
+    [
+        [[0.0, *[1e308] * 10], [3.0, *[-1e308] * 10], [6.0, *[1e308] * 10]],
+        [[float(k), 1e300, -1e300, 1e-300, k, 0.0, 0.0, 1e200, 0.0, 0.0, 1.0] for k in range(8)],
+    ],
+)
+def test_csv_of_extreme_numbers_is_refused_or_read(tmp_path: Path, rows: list[list[float]]) -> None:
     path, columns = tmp_path / "log", tmp_path / "map.toml"
     columns.write_text(MAP)
     text = ["t,x,y,z,a,b,c,d,e,f,T", *(",".join(map(repr, row)) for row in rows)]

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.formats.table import table
+from trimtab.host.imports.formats.table import table, table_contents
 
 
 def read(tmp_path: Path, text: str | bytes, *needed: str) -> dict[str, list[float]]:
@@ -42,6 +42,7 @@ def test_table_of_two_columns_reads(tmp_path: Path, text: str) -> None:
         ("t,x\n1,2\n3\n", "line 3: x is not a finite number"),
         ("t,x\n1,2\nnan,4\n", "line 3: t is not a finite number"),
         ("t,x\n1,2\n3,-inf\n", "line 3: x is not a finite number"),
+        ("a\0b,x\n1,2\n", "no column t;"),
         (b"t,x\n1,2\n3,\xff\n", "not UTF-8 text at byte"),
         ("t,x\n1," + "2" * 200_000, "not a CSV file"),
     ],
@@ -52,6 +53,22 @@ def test_table_with_a_problem_names_it_in_one_line(tmp_path: Path, text: str | b
     assert said in str(caught.value)
     assert str(caught.value).startswith("flight.csv: ")
     assert "\n" not in str(caught.value)
+
+
+def test_name_of_a_missing_column_is_told_without_control_characters(tmp_path: Path) -> None:
+    with pytest.raises(ImportFormatError, match="no column y\ufffdw;"):
+        read(tmp_path, "t,x\n1,2\n3,4\n", "y\0w")
+
+
+@pytest.mark.parametrize("times", ["3,2,1", "0,0,1e-320"])
+def test_contents_of_times_that_decrease_or_stand_still_have_finite_rates(tmp_path: Path, times: str) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_text("\n".join(["t,x\0", *(f"{time},1" for time in times.split(","))]))
+    found = table_contents(path, "t")
+    assert found.duration_s == pytest.approx(2.0 if times == "3,2,1" else 0.0)
+    assert [(topic.name, topic.rate_hz) for topic in found.topics] == [
+        (name, 1.0 if times == "3,2,1" else 0.0) for name in ("t", "x\ufffd")
+    ]
 
 
 def test_few_rows_without_numbers_are_skipped_and_counted(tmp_path: Path) -> None:

@@ -2,17 +2,18 @@
 
 from __future__ import annotations
 
+import gc
+import struct
+import warnings
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from tests.foreign.ulog import START_US, Topics, topics_of, ulog_bytes
+from tests.foreign.ulog import START_US, Topics, message, topics_of, ulog_bytes
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats import recognise, ulog
@@ -99,21 +100,75 @@ def test_truncated_file_gives_what_is_whole(tmp_path: Path, topics: Any) -> None
     assert 0.6 * 13e6 < found.pose_us[-1] < 0.9 * 13e6
 
 
-@settings(max_examples=150, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(at=st.floats(0.0, 1.0), junk=st.binary(max_size=40), length=st.floats(0.0, 1.0))
-def test_damaged_ulog_is_refused_or_read(
-    tmp_path: Path, topics: Any, at: float, junk: bytes, length: float
+def test_damaged_file_is_told_without_the_librarys_own_words_and_closed(
+    tmp_path: Path, topics: Any, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    small = {name: (fields, t_us[:8], values[:8]) for name, (fields, t_us, values) in topics.items()}
-    whole = ulog_bytes(small, {"PWM_MIN": 1000.0})
-    k = int(at * len(whole))
-    data = whole[:k] + junk + whole[k + len(junk) :]
+    whole = ulog_bytes(topics, {})
     path = tmp_path / "flight.ulg"
-    path.write_bytes(ulog.MAGIC + data[len(ulog.MAGIC) : max(8, int(length * len(data)))])
-    try:
+    with warnings.catch_warnings(record=True) as warned:
+        warnings.simplefilter("always")
+        path.write_bytes(whole[:12])
+        with pytest.raises(ImportFormatError, match=r"flight\.ulg: not a whole ULog"):
+            read(path)
+        at = whole.index(b"A\0\x03\0actuator_motors") + 4
+        path.write_bytes(whole[:at] + b"X" + whole[at + 1 :])  # no format of this name
+        assert any("damaged" in note for note in ulog.contents(path).notes)
+        gc.collect()
+    assert warned == []
+    assert capfd.readouterr() == ("", "")
+
+
+@pytest.mark.parametrize(
+    "definition",
+    [b"uint64_t timestamq;", b"double timestamp;", b"float[2] timestamp;", b"uint8_t[8] timestamp;"],
+)
+def test_topic_whose_definition_has_no_times_is_left_out(
+    tmp_path: Path, topics: Any, definition: bytes
+) -> None:
+    whole = ulog_bytes(topics, {})
+    old = message("F", b"battery_status:uint64_t timestamp;float voltage_v;")
+    new = message("F", b"battery_status:" + definition + b"float voltage_v;")
+    assert whole.count(old) == 1
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(whole.replace(old, new))
+    assert "battery_status" not in {topic.name for topic in ulog.contents(path).topics}
+
+
+@pytest.mark.parametrize(
+    ("kind", "value"),
+    [(b"char[4]", b"1\0\0\0"), (b"uint9_t", b"\0\0\0\0"), (b"float", b"\0\0\xc0\x7f")],
+)
+def test_parameter_that_is_no_finite_number_is_as_if_missing(
+    tmp_path: Path, topics: Any, kind: bytes, value: bytes
+) -> None:
+    places = {"PX": (1.0, -1.0, -1.0, 1.0), "PY": (1.0, 1.0, -1.0, -1.0)}
+    parameters = {f"CA_ROTOR{k}_{axis}": at[k] for axis, at in places.items() for k in range(4)}
+    whole = ulog_bytes(topics, parameters)
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(whole)
+    assert read(path).motor_corners == ("front-right", "rear-right", "rear-left", "front-left")
+    old = message("P", b"\x12float CA_ROTOR0_PX" + struct.pack("<f", 1.0))
+    key = kind + b" CA_ROTOR0_PX"
+    assert whole.count(old) == 1
+    path.write_bytes(whole.replace(old, message("P", bytes([len(key)]) + key + value)))
+    assert read(path).motor_corners == ulog.CORNERS
+
+
+def test_file_that_ends_within_a_damaged_definition_is_not_read_for_ever(tmp_path: Path, topics: Any) -> None:
+    whole = ulog_bytes(topics, {})
+    at = whole.index(b"F", 60) - 2
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(whole[:at] + struct.pack("<HB", 20_000, 0) + bytes([1]) * 30)
+    with pytest.raises(ImportFormatError, match=r"flight\.ulg: not a whole ULog|no data"):
         read(path)
-    except ImportFormatError as error:
-        assert str(error).startswith("flight.ulg: ")  # noqa: PT017 (either outcome is good)
+
+
+def test_start_beyond_the_range_of_times_is_refused(tmp_path: Path, topics: Any) -> None:
+    whole = ulog_bytes(topics, {})
+    path = tmp_path / "flight.ulg"
+    path.write_bytes(whole[:8] + struct.pack("<Q", 1 << 63) + whole[16:])
+    with pytest.raises(ImportFormatError, match="start is damaged"):
+        read(path)
 
 
 def test_recorded_ulog_of_others_tells_that_its_motors_never_ran(
