@@ -57,7 +57,7 @@ bench: $(READY_BENCH)
 
 fuzz: $(READY_ALL)
 	$(PYTHON) -m trimtab.sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
-	$(PYTHON) tests/fuzz/readers.py --inputs $(FUZZ_LOGS) --seed $(FUZZ_SEED)
+	$(PYTHON) -m tests.fuzz.readers --inputs $(FUZZ_LOGS) --seed $(FUZZ_SEED)
 
 generate: $(READY_ALL)
 	$(PYTHON) -m trimtab.protocol.generate

@@ -22,6 +22,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from functools import lru_cache
+from importlib import import_module
 from io import StringIO
 from pathlib import Path
 from random import Random
@@ -173,9 +174,7 @@ def _bags(kind: str) -> tuple[bytes, ...]:
 @lru_cache
 def _remember_definitions() -> None:
     """Let rosbags parse and compile equal definitions of messages once, which it does for every bag."""
-    from rosbags.highlevel import anyreader
-    from rosbags.serde import utils
-    from rosbags.typesys import store
+    anyreader: Any = import_module("rosbags.highlevel.anyreader")
 
     @lru_cache(1000)
     def compiled(code: str) -> Any:
@@ -184,8 +183,9 @@ def _remember_definitions() -> None:
     def execute(code: str, names: dict[str, Any]) -> None:
         exec(compiled(code), names)
 
-    vars(anyreader)["get_types_from_msg"] = lru_cache(1000)(anyreader.get_types_from_msg)
-    vars(utils)["exec"] = vars(store)["exec"] = execute
+    anyreader.get_types_from_msg = lru_cache(1000)(anyreader.get_types_from_msg)
+    for name in ("rosbags.serde.utils", "rosbags.typesys.store"):
+        vars(import_module(name))["exec"] = execute
 
 
 def _usds() -> tuple[bytes, ...]:
