@@ -40,6 +40,9 @@ MAGICS = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 OWN_LIBRARY = b"trimtab"
 """What the head of a Trimtab log holds."""
 
+REPAIRS = {".bag": "rosbag reindex", ".mcap": "mcap recover"}
+"""Commands that repair a bag whose index is damaged or missing; a rosbag2 folder has another."""
+
 STAMPED_US = 1_000_000
 """A topic whose stamps differ from the time of their reception by more has another clock."""
 
@@ -314,8 +317,9 @@ class _Bag:
 
     def _damaged(self, error: Exception) -> ImportFormatError:
         # rosbags reports damage by its own exceptions and by those its parsers run into.
+        repair = REPAIRS.get(Path(self._name).suffix, "ros2 bag reindex")
         return ImportFormatError(
-            f"{self._name}: not a whole bag ({type(error).__name__}); repair it with the tools of ROS"
+            f"{self._name}: not a whole bag ({type(error).__name__}); repair it with {repair}"
         )
 
 

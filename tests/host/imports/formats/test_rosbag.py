@@ -2,6 +2,47 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+from typing import Any
+
 import pytest
 
+from tests.foreign.bag import write_bag
+from tests.foreign.flight import in_axes
+from trimtab.host.imports import ImportFormatError
+from trimtab.host.imports.contents import topic
+from trimtab.host.imports.formats.rosbag import contents, read
+
 pytest.importorskip("rosbags", reason="rosbags is not installed; pip install 'trimtab[logs]'")
+
+
+@pytest.fixture
+def file_of(tmp_path: Path, made_up: Any) -> Any:
+    """Writes a bag of a kind and returns its file."""
+
+    def write(kind: str) -> Path:
+        target = tmp_path / ("a.bag" if kind == "ros1" else kind)
+        write_bag(in_axes(made_up.cut(slice(400, 500, 10)), "nwu", "flu"), target, kind)
+        return target if kind == "ros1" else next(p for p in target.iterdir() if p.suffix != ".yaml")
+
+    return write
+
+
+@pytest.mark.parametrize(
+    ("kind", "repair"),
+    [("ros1", "rosbag reindex"), ("mcap", "mcap recover"), ("sqlite3", "ros2 bag reindex")],
+)
+def test_truncated_bag_names_the_command_that_repairs_it(file_of: Any, kind: str, repair: str) -> None:
+    path: Path = file_of(kind)
+    whole = path.read_bytes()
+    path.write_bytes(whole[: len(whole) // 2])
+    for act in (read, contents):
+        with pytest.raises(
+            ImportFormatError, match=rf"{path.name}: not a whole bag .*; repair it with {repair}$"
+        ):
+            act(path)
+
+
+@pytest.mark.parametrize(("count", "rate_hz"), [(0, 0.0), (1, 0.0), (5, 2.0)])
+def test_topic_without_messages_has_no_rate(count: int, rate_hz: float) -> None:
+    assert topic("/imu", count, 2.0).rate_hz == rate_hz
