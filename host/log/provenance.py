@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
+import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
+from trimtab.host.base.artefacts import without_options
 from trimtab.host.base.text import readable
 from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.vehicle import Vehicle
@@ -59,3 +61,22 @@ class Provenance:
         if reserved:
             raise ValueError(f"session entries {reserved} are reserved names")
         return {key: readable(value) for key, value in sorted({**entries, **self.session}.items())}
+
+
+_SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
+"""Verbs that fly a simulated vehicle unless they are given a port."""
+
+
+def is_simulated(metadata: Mapping[str, str]) -> bool | None:
+    """Return whether the vehicle of a log was simulated; None where its `trimtab` record does not tell.
+
+    A command without a port flew a simulated vehicle. A vehicle at a port and one of an import may be
+    either.
+    """
+    try:
+        words = shlex.split(metadata.get("command", ""))[1:]
+    except ValueError:
+        return None
+    if metadata.get("kind") != "flight" or words[:1] == [] or words[0] not in _SIMULATING_VERBS:
+        return None
+    return True if without_options(words, ("--port",)) == words else None

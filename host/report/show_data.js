@@ -1,0 +1,78 @@
+"use strict";
+// Data of the page: tracks decoded to arrays, one time axis for all, colours of the theme.
+
+const DATA = JSON.parse(document.getElementById("data").textContent);
+const OKABE_ITO = ["#0072b2", "#d55e00", "#009e73", "#cc79a7", "#e69f00", "#56b4e9", "#999999"];
+const DASHES = [[], [7, 3], [2, 2], [9, 3, 2, 3]];
+
+function decoded(channel) {
+  const text = atob(channel.data);
+  const bytes = new Uint8Array(text.length);
+  for (let i = 0; i < text.length; i++) bytes[i] = text.charCodeAt(i);
+  const view = new DataView(bytes.buffer);
+  const values = new Float32Array(bytes.length / 4);
+  for (let i = 0; i < values.length; i++) values[i] = view.getFloat32(4 * i, true);
+  return { width: channel.width, length: values.length / channel.width, values };
+}
+
+const TRACKS = DATA.tracks.map((track, number) => ({
+  ...track,
+  number,
+  colour: OKABE_ITO[number % OKABE_ITO.length],
+  dash: DASHES[Math.floor(number / OKABE_ITO.length) % DASHES.length],
+  channels: Object.fromEntries(Object.entries(track.channels).map(([name, channel]) => [name, decoded(channel)])),
+}));
+const SEVERAL = TRACKS.length > 1;
+const STEP_S = TRACKS.length ? TRACKS[0].step_s : 0.01;
+
+function lengthOf(track) {
+  return Math.max(1, ...Object.values(track.channels).map((channel) => channel.length));
+}
+
+const FIRST = Math.min(...TRACKS.map((track) => track.first));
+const LAST = Math.max(...TRACKS.map((track) => track.first + lengthOf(track) - 1));
+const TIMES_S = TRACKS.length ? Array.from({ length: LAST - FIRST + 1 }, (_, i) => (FIRST + i) * STEP_S) : [];
+
+// One column of a channel on the common time axis, null where there is no value.
+function columnOf(track, name, column) {
+  const channel = track.channels[name];
+  const out = new Array(TIMES_S.length).fill(null);
+  const start = track.first - FIRST;
+  let before = null;
+  for (let i = 0; i < channel.length; i++) {
+    const value = channel.values[i * channel.width + column];
+    const wraps = name === "attitude" && before !== null && Math.abs(value - before) > 180;
+    if (!Number.isNaN(value) && !wraps) out[start + i] = value;
+    before = Number.isNaN(value) ? null : value;
+  }
+  return out;
+}
+
+// The row of a channel at a sample of the common axis; null where it has none.
+function rowAt(track, name, sample) {
+  const channel = track.channels[name];
+  const i = sample + FIRST - track.first;
+  if (!channel || i < 0 || i >= channel.length) return null;
+  const row = channel.values.subarray(i * channel.width, (i + 1) * channel.width);
+  return row.some(Number.isNaN) ? null : row;
+}
+
+function sampleAt(t_s) {
+  return Math.max(0, Math.min(TIMES_S.length - 1, Math.round(t_s / STEP_S) - FIRST));
+}
+
+let printing = false;
+const darkQuery = window.matchMedia("(prefers-color-scheme: dark)");
+
+function theme() {
+  const dark = darkQuery.matches && !printing;
+  return dark
+    ? { dark, ink: "#e4e8ea", soft: "#9aa5ad", line: "#39424a", paper: "#171b1e", forbidden: "#ff8a66" }
+    : { dark, ink: "#1c2329", soft: "#5d6770", line: "#d9dee2", paper: "#ffffff", forbidden: "#b5482f" };
+}
+
+// Blue is too dark on a dark page; the sky blue of the same palette is not.
+function shown(colour) {
+  if (!theme().dark) return colour;
+  return { "#0072b2": "#56b4e9", "#56b4e9": "#2f8fd0", "#009e73": "#1fc796", "#d55e00": "#f07f2e" }[colour] || colour;
+}

@@ -1,0 +1,226 @@
+"""The content of a page from the files that `trimtab show` is given."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from trimtab.host.base.artefacts import LOG_SUFFIX
+from trimtab.host.base.errors import UsageError
+from trimtab.host.effects import load_effects
+from trimtab.host.link.blob_files import read_reference
+from trimtab.host.log import LogError, partial_path
+from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
+from trimtab.host.models.file import read_model
+from trimtab.host.plan.files import SUFFIX as REFERENCE_SUFFIX
+from trimtab.host.plan.files import read_course
+from trimtab.host.route import Route
+from trimtab.host.route.shapes import Box, Cylinder, Sphere
+from trimtab.host.show.flights import UP, ShownFlight, flight_facts, flight_track, read_shown
+from trimtab.host.show.lattice import Track, step_for
+from trimtab.host.show.models import model_facts
+from trimtab.host.show.plans import plan_facts, plan_track
+from trimtab.host.vehicle import ConfigurationError, Vehicle, list_vehicles, load_vehicle
+from trimtab.host.workspace import Workspace
+from trimtab.protocol.blobs import Reference
+
+Course = tuple[Route, tuple[float, ...]]
+
+
+@dataclass(frozen=True, kw_only=True)
+class Content:
+    """What a page shows: facts of flights, plans and models, tracks, the scene in 3D, and notes."""
+
+    flights: list[dict[str, Any]]
+    plans: list[dict[str, Any]]
+    models: list[dict[str, Any]]
+    tracks: list[Track]
+    scene: dict[str, Any]
+    notes: list[str]
+
+    def facts(self) -> dict[str, Any]:
+        """Return the facts for `--json`."""
+        return {
+            "flights": self.flights,
+            "plans": self.plans,
+            "models": self.models,
+            "notes": self.notes,
+        }
+
+
+@dataclass(kw_only=True)
+class _Files:
+    """Files by kind, in the order given. Logs of a folder may be unreadable; a log that is named may not."""
+
+    logs: list[Path] = field(default_factory=list)
+    in_folders: set[Path] = field(default_factory=set)
+    references: list[Path] = field(default_factory=list)
+    models: list[Path] = field(default_factory=list)
+
+
+def read_content(inputs: Sequence[Path], space: Workspace, vehicle: Vehicle | None = None) -> Content:
+    """Return the content of a page. vehicle: of references whose vehicle is not found by its id.
+
+    Raises
+    ------
+    UsageError
+        For a file of another kind, or a folder without logs.
+    LogError
+        If a log that is named cannot be shown, or none of a folder's.
+    """
+    files = _sorted(inputs)
+    shown, notes = _read_logs(files)
+    references = [(path, read_reference(path)) for path in files.references]
+    effects = load_effects(space.root) if files.models else {}
+    models = [model_facts(read_model(path), path, effects) for path in files.models]
+    total_us = sum(s.span_us[1] - s.span_us[0] for _, s in shown)
+    step_us = step_for(total_us + sum(reference.duration_us for _, reference in references))
+    known = dict(references)
+    scene: dict[str, Course] = {}
+    flights, plans, tracks = [], [], []
+    for path, flight in shown:
+        course = _course_of(flight.flight.reference_id, [path.parent, *(ref.parent for ref in known)])
+        if course is not None:
+            scene[course[0].id] = course
+        flights.append(flight_facts(flight, path, None if course is None else course[0].name))
+        tracks.append(flight_track(flight, path.name, step_us))
+    for path, reference in references:
+        course = read_course(path, reference.id)
+        if course is not None:
+            scene[course[0].id] = course
+        route = None if course is None else course[0]
+        craft = _vehicle_of(reference, vehicle, [s.flight.vehicle for _, s in shown], space)
+        plans.append(plan_facts(reference, path, craft, route))
+        tracks.append(plan_track(reference, craft, route, path.name, step_us))
+    return Content(
+        flights=flights,
+        plans=plans,
+        models=models,
+        tracks=tracks,
+        scene=_scene(list(scene.values())),
+        notes=notes,
+    )
+
+
+def _sorted(inputs: Sequence[Path]) -> _Files:
+    """Return the inputs by kind; a folder stands for its logs. Raises UsageError."""
+    files = _Files()
+    for path in inputs:
+        if path.is_dir():
+            logs = sorted({*path.glob(f"*{LOG_SUFFIX}"), *_unfinished(path)})
+            if not logs:
+                raise UsageError(f"{path}: holds no flight log; give a folder with {LOG_SUFFIX} files")
+            files.logs += logs
+            files.in_folders |= set(logs)
+        elif path.name.endswith(MODEL_SUFFIX):
+            files.models.append(path)
+        elif path.suffix == REFERENCE_SUFFIX:
+            files.references.append(path)
+        elif path.suffix in (LOG_SUFFIX, ".part"):
+            files.logs.append(path)
+        else:
+            raise UsageError(
+                f"{path}: give a flight log ({LOG_SUFFIX}), a reference ({REFERENCE_SUFFIX}), "
+                f"a model ({MODEL_SUFFIX}) or a folder with logs"
+            )
+    return files
+
+
+def _unfinished(folder: Path) -> list[Path]:
+    """Return the finished names of logs whose writer was killed."""
+    names = [path.with_name(path.name.removesuffix(".part")) for path in folder.glob(f"*{LOG_SUFFIX}.part")]
+    return [name for name in names if partial_path(name).exists()]
+
+
+def _read_logs(files: _Files) -> tuple[list[tuple[Path, ShownFlight]], list[str]]:
+    """Return the flights, and a note for each log of a folder that cannot be shown. Raises LogError."""
+    shown, notes = [], []
+    for path in dict.fromkeys(files.logs):
+        try:
+            shown.append((path, read_shown(path)))
+        except LogError as error:
+            if path not in files.in_folders:
+                raise
+            notes.append(f"Left out: {error}.")
+    if files.logs and not shown:
+        raise LogError(f"{files.logs[0].parent}: none of its logs can be shown; {notes[0]}")
+    return shown, notes
+
+
+def _course_of(reference_id: str | None, folders: Sequence[Path]) -> Course | None:
+    """Return the course of a reference from a NAME.ref.json in these folders; None if none is of it."""
+    if reference_id is None:
+        return None
+    for folder in dict.fromkeys(folders):
+        for record in sorted(folder.glob(f"*{REFERENCE_SUFFIX}.json")):
+            course = read_course(record.with_suffix(""), reference_id)
+            if course is not None:
+                return course
+    return None
+
+
+def _vehicle_of(
+    reference: Reference, vehicle: Vehicle | None, flown: Sequence[Vehicle], space: Workspace
+) -> Vehicle | None:
+    """Return the vehicle of a reference: as named, of a log beside it, or found by its id; else None.
+
+    Raises UsageError if the named one is another vehicle.
+    """
+    if vehicle is not None:
+        if vehicle.id != reference.vehicle_id:
+            raise UsageError(
+                f"--vehicle: {vehicle.name} ({vehicle.id}) is not the vehicle of the reference "
+                f"({reference.vehicle_id}); give that one"
+            )
+        return vehicle
+    for craft in flown:
+        if craft.id == reference.vehicle_id:
+            return craft
+    for path in [*sorted((space.root / "vehicles").glob("*.toml")), *list_vehicles().values()]:
+        try:
+            craft = load_vehicle(path)
+        except ConfigurationError:  # a faulty file of the user's matters only if it is named
+            continue
+        if craft.id == reference.vehicle_id:
+            return craft
+    return None
+
+
+def _scene(courses: Sequence[Course]) -> dict[str, Any]:
+    """Return waypoints, gates and keep-out shapes of the routes, in north, east, up."""
+    waypoints, gates, shapes = [], [], []
+    for route, times_s in courses:
+        for k, (point, t_s) in enumerate(zip(route.waypoints_m, times_s, strict=True)):
+            waypoints.append({"p": _up(point), "t_s": t_s, "label": str(k)})
+        for gate in route.gates or ():
+            centre = np.array(route.waypoints_m[gate.waypoint])
+            if gate.radius_m is not None:
+                gates.append({"kind": "sphere", "centre": _up(centre), "radius": gate.radius_m})
+            else:
+                corners = [_up(corner) for corner in gate.corners_ned(centre)]
+                gates.append({"kind": "opening", "corners": corners})
+        shapes += [_shape(shape) for shape in route.keep_out]
+    return {"waypoints": waypoints, "gates": gates, "keep_out": shapes}
+
+
+def _shape(shape: Box | Sphere | Cylinder) -> dict[str, Any]:
+    if isinstance(shape, Box):
+        low, high = np.array(shape.min_m) * UP, np.array(shape.max_m) * UP
+        return {"kind": "box", "low": np.minimum(low, high).tolist(), "high": np.maximum(low, high).tolist()}
+    if isinstance(shape, Sphere):
+        return {"kind": "sphere", "centre": _up(shape.centre_m), "radius": shape.radius_m}
+    return {
+        "kind": "cylinder",
+        "centre": [*shape.centre_m, 0.0],
+        "radius": shape.radius_m,
+        "low": -shape.down_m[1],
+        "high": -shape.down_m[0],
+    }
+
+
+def _up(point_ned: Any) -> list[float]:
+    return (np.asarray(point_ned, dtype=float) * UP).tolist()
