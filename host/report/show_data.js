@@ -22,6 +22,12 @@ const TRACKS = DATA.tracks.map((track, number) => ({
   dash: DASHES[Math.floor(number / OKABE_ITO.length) % DASHES.length],
   channels: Object.fromEntries(Object.entries(track.channels).map(([name, channel]) => [name, decoded(channel)])),
 }));
+// Flights of one reference share its lines; a plan of it draws them as its own.
+for (const track of TRACKS) {
+  const same = TRACKS.filter((other) => track.reference_id !== null && other.reference_id === track.reference_id);
+  track.drawsReference = !same.length || track === (same.find((other) => other.what === "plan") || same[0]);
+  track.sharesReference = same.length > 1 && track.what !== "plan";
+}
 const SEVERAL = TRACKS.length > 1;
 const STEP_S = TRACKS.length ? TRACKS[0].step_s : 0.01;
 

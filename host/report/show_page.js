@@ -77,7 +77,8 @@ function start() {
   const canvas = document.getElementById("scene");
   if (addScene(canvas)) lookFrom(0.6, 0.5);
   else document.getElementById("view").hidden = true;
-  addEvents(document.getElementById("events"));
+  const events = document.getElementById("events");
+  if (events) addEvents(events);
   ready = true;
   showTime();
   slider.addEventListener("input", showTime);

@@ -24,10 +24,13 @@ function seriesOf(quantity, columns) {
       const name = (SEVERAL ? track.name : quantity.names[column]);
       const refColumn = quantity.refColumn === undefined ? column : column - quantity.refColumn;
       const ref = track.channels[quantity.ref];
-      if (ref && refColumn >= 0 && refColumn < ref.width) {
+      const wanted = quantity.refName === "commanded" ? !SEVERAL : track.drawsReference;
+      if (ref && wanted && refColumn >= 0 && refColumn < ref.width) {
         const planned = track.what === "plan" && !track.channels[quantity.key];
-        const label = planned ? `${name}, planned` : `${name}, ${quantity.refName}`;
-        series.push({ label, colour, dash: planned ? track.dash : [4, 4], y: columnOf(track, quantity.ref, refColumn) });
+        const named = track.sharesReference ? quantity.refName : `${name}, ${quantity.refName}`;
+        const label = planned ? `${name}, planned` : named;
+        const own = track.sharesReference && !planned ? OKABE_ITO[6] : colour;
+        series.push({ label, colour: own, dash: planned ? track.dash : [4, 4], y: columnOf(track, quantity.ref, refColumn) });
       }
       const channel = track.channels[quantity.key];
       if (channel && column < channel.width) {
@@ -164,8 +167,9 @@ function digits(value) {
 function showCursors(sample, t_s) {
   for (const plot of PLOTS) {
     const left = plot.chart.valToPos(t_s, "x");
+    const width = plot.chart.bbox.width / uPlot.pxRatio;
     plot.line.style.transform = `translateX(${left}px)`;
-    plot.line.hidden = left < 0 || left > plot.chart.over.clientWidth;
+    plot.line.hidden = left < 0 || left > width;
     plot.series.forEach((one, k) => { plot.values[k].value.textContent = digits(one.y[sample]); });
   }
 }

@@ -1,7 +1,7 @@
 "use strict";
 // The path in 3D on a canvas: an orthographic view of north, east, up. It needs no graphics processor.
 
-const SCENE = { canvas: null, still: null, azimuth: 0.6, elevation: 0.5, zoom: 1, centre: [0, 0, 0], radius: 1, vehicle_m: 0.1 };
+const SCENE = { canvas: null, still: null, azimuth: 0.6, elevation: 0.5, zoom: 1, centre: [0, 0, 0], width: 0, height: 0 };
 const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 const PIECES = 1500;
 
@@ -45,12 +45,22 @@ function addScene(canvas) {
   if (!Number.isFinite(low[0])) return false;
   low[2] = Math.min(low[2], 0);
   SCENE.floor = low[2];
+  SCENE.grid = spacing(2 * Math.max(0.5, 0.5 * Math.hypot(...low.map((value, k) => high[k] - value))));
+  for (const k of [0, 1]) { // whole cells of the grid
+    low[k] = Math.floor(low[k] / SCENE.grid) * SCENE.grid;
+    high[k] = Math.ceil(high[k] / SCENE.grid) * SCENE.grid;
+  }
   SCENE.centre = low.map((value, k) => 0.5 * (value + high[k]));
-  SCENE.radius = Math.max(0.5, 0.5 * Math.hypot(...low.map((value, k) => high[k] - value)));
   SCENE.low = low;
   SCENE.high = high;
   turnable(canvas);
   return true;
+}
+
+// The distance of grid lines: about eight over the span.
+function spacing(span) {
+  const power = 10 ** Math.floor(Math.log10(span / 8));
+  return power * [1, 2, 5, 10].find((factor) => factor * power >= span / 8);
 }
 
 function turnable(canvas) {
@@ -101,8 +111,7 @@ function lookFrom(azimuth, elevation) {
 
 // The function from north, east, up to CSS pixels of the canvas.
 function projection() {
-  const { canvas, azimuth, elevation, centre } = SCENE;
-  const width = canvas.clientWidth, height = canvas.clientHeight;
+  const { width, height, azimuth, elevation, centre } = SCENE;
   const ca = Math.cos(azimuth), sa = Math.sin(azimuth), ce = Math.cos(elevation), se = Math.sin(elevation);
   const flat = (n, e, u) => [-sa * n + ca * e, -(se * (ca * n + sa * e) + ce * u)];
   let x0 = Infinity, x1 = -Infinity, y0 = Infinity, y1 = -Infinity;
@@ -121,8 +130,8 @@ function projection() {
 
 function sized(canvas) {
   const ratio = window.devicePixelRatio || 1;
-  canvas.width = Math.round(SCENE.canvas.clientWidth * ratio);
-  canvas.height = Math.round(SCENE.canvas.clientHeight * ratio);
+  canvas.width = Math.round(SCENE.width * ratio);
+  canvas.height = Math.round(SCENE.height * ratio);
   const context = canvas.getContext("2d");
   context.setTransform(ratio, 0, 0, ratio, 0, 0);
   context.lineJoin = context.lineCap = "round";
@@ -132,21 +141,34 @@ function sized(canvas) {
 
 // Draws what does not move with time, and then the vehicles.
 function drawStill() {
+  SCENE.width = SCENE.canvas.clientWidth;
+  SCENE.height = SCENE.canvas.clientHeight;
   const context = sized(SCENE.still);
   const at = projection();
   drawGround(context, at);
   DATA.scene.keep_out.forEach((shape) => drawShape(context, at, shape, theme().forbidden, 0.1));
   for (const track of TRACKS) {
     context.setLineDash(track.what === "plan" ? [] : [4, 4]);
-    stroke(context, at, track.refPath, SEVERAL ? shown(track.colour) : theme().soft, track.what === "plan" ? 2 : 1.2);
+    if (track.drawsReference) stroke(context, at, track.refPath, SEVERAL && !track.sharesReference ? shown(track.colour) : theme().soft, track.what === "plan" ? 2 : 1.2);
     context.setLineDash([]);
     const error = track.channels.error;
     if (SEVERAL || !error) stroke(context, at, track.path, shown(track.colour), 2);
     else strokeByError(context, at, track, error);
   }
   DATA.scene.gates.forEach((gate) => drawGate(context, at, gate));
+  drawWaypoints(context, at);
+  sized(SCENE.canvas);
+  drawMoving(SCENE.sample || 0);
+}
+
+// Waypoints with their numbers; those close to each other share a label.
+function drawWaypoints(context, at) {
+  const groups = [];
   for (const point of DATA.scene.waypoints) {
     const [x, y] = at(point.p);
+    const near = groups.find((group) => Math.hypot(group.x - x, group.y - y) < 12);
+    if (near) near.labels.push(point.label);
+    else groups.push({ x, y, labels: [point.label] });
     context.beginPath();
     context.arc(x, y, 3.5, 0, 2 * Math.PI);
     context.fillStyle = theme().paper;
@@ -154,11 +176,10 @@ function drawStill() {
     context.lineWidth = 1.2;
     context.fill();
     context.stroke();
-    context.fillStyle = theme().ink;
-    if (DATA.scene.waypoints.length <= 40) context.fillText(point.label, x + 6, y - 5);
   }
-  sized(SCENE.canvas);
-  drawMoving(SCENE.sample || 0);
+  if (DATA.scene.waypoints.length > 40) return;
+  context.fillStyle = theme().ink;
+  for (const { x, y, labels } of groups) context.fillText(labels.length > 3 ? `${labels[0]}, ${labels[1]}, …` : labels.join(", "), x + 6, y - 5);
 }
 
 function line(context, points) {
@@ -204,7 +225,7 @@ function strokeByError(context, at, track, error) {
     }
     before = here;
   }
-  const width = 90, x = SCENE.canvas.clientWidth - width - 10, y = 12;
+  const width = 90, x = SCENE.width - width - 10, y = 12;
   for (let i = 0; i < width; i++) {
     context.fillStyle = colourOf(i / width);
     context.fillRect(x + i, y, 1.5, 8);
@@ -216,11 +237,8 @@ function strokeByError(context, at, track, error) {
 }
 
 function drawGround(context, at) {
-  const span = 2 * SCENE.radius;
-  const raw = span / 8, power = 10 ** Math.floor(Math.log10(raw));
-  const step = power * [1, 2, 5, 10].find((factor) => factor * power >= raw);
-  const from = (k) => Math.floor(SCENE.low[k] / step) * step, to = (k) => Math.ceil(SCENE.high[k] / step) * step;
-  const [n0, n1, e0, e1, u] = [from(0), to(0), from(1), to(1), SCENE.floor];
+  const step = SCENE.grid, u = SCENE.floor;
+  const [n0, n1, e0, e1] = [SCENE.low[0], SCENE.high[0], SCENE.low[1], SCENE.high[1]];
   context.strokeStyle = theme().line;
   context.lineWidth = 1;
   for (let n = n0; n <= n1 + 1e-9; n += step) { line(context, [at([n, e0, u]), at([n, e1, u])]); context.stroke(); }
@@ -235,7 +253,7 @@ function drawGround(context, at) {
     const [x, y] = at(end);
     context.fillText(label, x + 4, y - 4);
   }
-  context.fillText(`grid ${Number(step.toPrecision(2))} m`, 10, SCENE.canvas.clientHeight - 10);
+  context.fillText(`grid ${Number(step.toPrecision(2))} m`, 10, SCENE.height - 10);
 }
 
 function circle(centre, radius, up) {
@@ -298,8 +316,8 @@ function drawMoving(sample) {
   SCENE.sample = sample;
   const context = SCENE.canvas.getContext("2d");
   const at = projection();
-  context.clearRect(0, 0, SCENE.canvas.clientWidth, SCENE.canvas.clientHeight);
-  context.drawImage(SCENE.still, 0, 0, SCENE.canvas.clientWidth, SCENE.canvas.clientHeight);
+  context.clearRect(0, 0, SCENE.width, SCENE.height);
+  context.drawImage(SCENE.still, 0, 0, SCENE.width, SCENE.height);
   let first = null;
   for (const track of TRACKS) {
     const p = rowAt(track, "p", sample) || (track.what === "plan" ? rowAt(track, "p_ref", sample) : null);

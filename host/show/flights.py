@@ -83,14 +83,13 @@ def flight_track(shown: ShownFlight, name: str, step_us: int) -> Track:
         name=name,
         what="import" if flight.kind == "imported" else "flight",
         simulated=bool(is_simulated(flight.metadata)),
+        reference_id=None if flight.reference is None else flight.reference_id,
         zero=zero_words(shown),
         first=int(grid_us[0] // step_us),
         step_us=step_us,
         channels=channels,
         events=tuple(event_rows(shown)),
-        vehicle={
-            "rotors_frd_m": [list(rotor.position_m) for rotor in flight.vehicle.rotors],
-        },
+        vehicle={"rotors_frd_m": [list(rotor.position_m) for rotor in flight.vehicle.rotors]},
     )
 
 

@@ -28,6 +28,7 @@ class Track:
     name: str
     what: str
     simulated: bool
+    reference_id: str | None
     zero: str
     first: int
     step_us: int
@@ -41,6 +42,7 @@ class Track:
             "name": self.name,
             "what": self.what,
             "simulated": self.simulated,
+            "reference_id": self.reference_id,
             "zero": self.zero,
             "first": self.first,
             "step_s": self.step_us * 1e-6,
@@ -72,12 +74,15 @@ def lattice(start_us: int, end_us: int, step_us: int) -> Annotated[Times, "sampl
 def sampled(
     at_us: Annotated[Times, "samples"], t_us: Annotated[Times, "rows"], values: Floats
 ) -> Annotated[Floats, "samples width"]:
-    """Return values (rows,) or (rows, width) interpolated linearly; NaN in gaps and beyond the ends."""
+    """Return values (rows,) or (rows, width) interpolated linearly; NaN in gaps and beyond the ends.
+
+    An end value is kept for 10 ms, so that a line reaches the start of tracking between two samples.
+    """
     columns = values.reshape(len(t_us), -1)
     rows = np.stack([np.interp(at_us, t_us, column) for column in columns.T], axis=1)
     k = np.searchsorted(t_us, at_us, side="right")
     before, after = t_us[np.clip(k - 1, 0, len(t_us) - 1)], t_us[np.clip(k, 0, len(t_us) - 1)]
-    outside = (at_us < t_us[0]) | (at_us > t_us[-1])
+    outside = (at_us < t_us[0] - FINEST_US) | (at_us > t_us[-1] + FINEST_US)
     wide = (after - before > _GAP_US) & (at_us != before)
     rows[outside | wide] = np.nan
     return rows

@@ -25,14 +25,14 @@ def plan_track(
     """Return a reference on the lattice; attitude, thrusts and margins only with its vehicle."""
     grid_us = lattice(0, reference.duration_us, step_us)
     flat = reference_at(reference, grid_us)
-    yaw_deg = np.degrees(np.remainder(flat[:, 12] + np.pi, 2.0 * np.pi) - np.pi)
     channels: dict[str, Any] = {
         "p_ref": flat[:, :3] * UP,
         "v_ref": flat[:, 3:6] * UP,
         "speed": np.linalg.norm(flat[:, 3:6], axis=1)[:, None],
-        "yaw_ref": yaw_deg[:, None],
     }
-    if vehicle is not None:
+    if vehicle is None:
+        channels["yaw_ref"] = np.degrees(np.remainder(flat[:, 12] + np.pi, 2.0 * np.pi) - np.pi)[:, None]
+    else:
         along = nominal_profile(reference, vehicle, grid_us)
         channels["q"] = quaternions(along.x[THETA].T)
         channels["attitude"] = euler_deg(channels["q"])
@@ -44,6 +44,7 @@ def plan_track(
         name=name,
         what="plan",
         simulated=False,
+        reference_id=reference.id,
         zero="start of the reference",
         first=0,
         step_us=step_us,

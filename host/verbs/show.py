@@ -76,9 +76,8 @@ def _lines(content: Content, target: Path) -> list[str]:
 
 def _flight(row: dict[str, Any]) -> str:
     simulated = ", simulated" if row["simulated"] else ""
-    error = (
-        ""
-        if row["error_rmse_m"] is None
-        else f", tracking error {1e3 * row['error_rmse_m']:.1f} mm RMSE, {1e3 * row['error_max_m']:.1f} mm at most"
-    )
-    return f"{row['log']}: {row['kind']}{simulated}, {row['duration_s']:.2f} s{error}"
+    line = f"{row['log']}: {row['kind']}{simulated}, {row['duration_s']:.2f} s"
+    if row["error_rmse_m"] is None:
+        return line
+    rmse_mm, max_mm = 1e3 * row["error_rmse_m"], 1e3 * row["error_max_m"]
+    return f"{line}, tracking error {rmse_mm:.1f} mm RMSE, {max_mm:.1f} mm at most"
