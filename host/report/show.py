@@ -29,6 +29,9 @@ def page(content: Content) -> str:
     """Return the HTML. The same content gives the same bytes; paths are left out."""
     tracks = [track.to_json() for track in content.tracks]
     simulated = [track.simulated for track in content.tracks if track.what != "plan"]
+    if not all(simulated):  # else the page says it once for all
+        for track in tracks:
+            track["name"] += " (simulated)" if track["simulated"] else ""
     return render(
         "show.html.j2",
         title=_title(content),

@@ -120,9 +120,6 @@ function check() {
     vehicle_places: new Set(places.map((place) => JSON.stringify(place.vehicle))).size,
     cursor_places: PLOTS.map((_, k) => new Set(places.map((place) => place.cursors[k])).size),
     step_ms,
-    width: window.innerWidth,
-    overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
-    requests: performance.getEntriesByType("resource").length,
   };
 }
 
@@ -131,7 +128,15 @@ start();
 const drawn_ms = performance.now() - drawing;
 if (location.hash === "#check") {
   window.addEventListener("load", () => {
-    const result = { ...(TRACKS.length ? check() : {}), drawn_ms, since_opened_ms: performance.now(), errors: window.pageErrors };
+    const result = {
+      drawn_ms,
+      since_opened_ms: performance.now(),
+      ...(TRACKS.length ? check() : {}),
+      width: window.innerWidth,
+      overflow: document.documentElement.scrollWidth - document.documentElement.clientWidth,
+      requests: performance.getEntriesByType("resource").length,
+      errors: window.pageErrors,
+    };
     const output = document.createElement("pre");
     output.id = "check";
     output.textContent = JSON.stringify(result);
