@@ -177,6 +177,20 @@ def test_log_prints_what_the_page_says(
     check("log recover", trimtab("log", "recover", "cut.mcap"))
 
 
+def test_show_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], hop: str, log: str, drag_model: str, tmp_path: Path
+) -> None:
+    trimtab("plan", hop, "-o", "hop.ref")
+    model = read_model(tmp_path / drag_model)
+    assessment = replace(model.assessment, probabilities={"linear-drag": 1.0}) if model.assessment else None
+    write_model(replace(model, assessment=assessment), tmp_path / "known.model.toml")
+    (tmp_path / "bad").mkdir()
+    (tmp_path / "bad" / "bad.mcap").write_bytes(b"no log")
+    told = trimtab("show", log, "hop.ref", "known.model.toml", "bad")
+    check("show", told)
+    assert len(told["notes"]) == 1
+
+
 def test_vehicle_prints_what_the_page_says(
     trimtab: Callable[..., dict[str, Any]], log: str, tmp_path: Path
 ) -> None:

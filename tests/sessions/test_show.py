@@ -27,6 +27,8 @@ FLAGS = (
     "--disable-sync",
     "--allow-file-access-from-files",  # so that the frame below can be read
     "--virtual-time-budget=20000",
+    "--window-size=1400,1000",
+    "--dump-dom",
 )
 FRAME = """<iframe id="frame" width="{width}" height="900" src="{page}#check"></iframe><pre id="said"></pre>
 <script>document.getElementById("frame").onload = () => setTimeout(() => {{
@@ -49,14 +51,7 @@ def checked(require: Callable[[str], None], tmp_path: Path) -> Callable[..., dic
         (tmp_path / "page.html").write_text(text, encoding="utf-8")
         (tmp_path / "frame.html").write_text(FRAME.format(width=width, page="page.html"), encoding="utf-8")
         done = subprocess.run(
-            [
-                browser,
-                *FLAGS,
-                f"--user-data-dir={tmp_path / 'profile'}",
-                "--dump-dom",
-                "--window-size=1400,1000",
-            ]
-            + [(tmp_path / "frame.html").as_uri()],
+            [browser, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", (tmp_path / "frame.html").as_uri()],
             capture_output=True,
             text=True,
             check=True,
@@ -115,3 +110,42 @@ def test_page_of_a_model_has_no_error_and_fits(
 ) -> None:
     said = checked(tmp_path / drag_model, width=390)
     assert (said["errors"], said["overflow"]) == ([], 0)
+
+
+def test_verb_writes_beside_the_input_and_overwrites_nothing(
+    run_trimtab: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path
+) -> None:
+    shutil.copy(DATA / "a1.mcap", tmp_path / "a1.mcap")
+    code, said, _ = run_trimtab("show", "a1.mcap", "--json")
+    assert (code, said["page"]) == (0, "a1.mcap.html")
+    first = (tmp_path / "a1.mcap.html").read_bytes()
+    code, said, _ = run_trimtab("show", "a1.mcap", "--json")
+    assert (code, said["exit_code"]) == (2, 2)
+    assert run_trimtab("show", "a1.mcap", "--force")[0] == 0
+    assert (tmp_path / "a1.mcap.html").read_bytes() == first
+    assert run_trimtab("show", ".", "--json")[1]["page"] == "show.html"
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        ((), 2),
+        (("none.mcap",), 5),
+        (("none.ref",), 2),
+        (("none.model.toml",), 2),
+        (("none.txt",), 2),
+        (("none.mcap", "--html", "page.pdf"), 2),
+        (("none.mcap", "--html", "none/page.html"), 2),
+        (("none.ref", "--vehicle", "none"), 2),
+    ],
+)
+def test_bad_input_of_the_verb_leaves_no_page(
+    run_trimtab: Callable[..., tuple[int, dict[str, Any], str]],
+    tmp_path: Path,
+    words: tuple[str, ...],
+    code: int,
+) -> None:
+    found, said, complaint = run_trimtab("show", *words, "--json")
+    assert (found, said["exit_code"]) == (code, code)
+    assert len(complaint.strip().splitlines()) == 1
+    assert list(tmp_path.iterdir()) == []
