@@ -26,7 +26,10 @@ class Event:
 
 
 def read_events(records: Scan, flight: Flight) -> tuple[Event, ...]:
-    """Return the changes of phase and failsafe in /fc/status and the texts in /log, in order of time."""
+    """Return the changes of phase and failsafe in /fc/status and the texts in /log, in order of time.
+
+    The phase of tracking begins when the vehicle says that it began, not with the status that says so.
+    """
     texts = decoded(records.by_topic(), topics.LOG, Log)
     events = [Event(t_us=entry.log_time_us, kind="text", text=log.message) for entry, log in texts]
     status = flight.status
@@ -37,7 +40,9 @@ def read_events(records: Scan, flight: Flight) -> tuple[Event, ...]:
             status.t_us.tolist(), status.state.tolist(), status.failsafe.tolist(), strict=True
         ):
             if now != state:
-                events.append(Event(t_us=t_us, kind="phase", text=names.get(now, str(now))))
+                tracks = now == State.TRACKING and flight.tracking is not None
+                begin_us = min(t_us, flight.tracking[0]) if tracks and flight.tracking else t_us
+                events.append(Event(t_us=begin_us, kind="phase", text=names.get(now, str(now))))
             if cause and cause != failsafe:
                 events.append(Event(t_us=t_us, kind="failsafe", text=failsafe_name(cause) or str(cause)))
             state, failsafe = now, cause

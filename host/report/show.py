@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
@@ -32,12 +32,13 @@ def page(content: Content) -> str:
     if not all(simulated):  # else the page says it once for all
         for track in tracks:
             track["name"] += " (simulated)" if track["simulated"] else ""
+    shared = _shared_notes(content.flights)
     return render(
         "show.html.j2",
         title=_title(content),
         simulated=bool(simulated) and all(simulated),
-        notes=content.notes,
-        flights=[_flight(row) for row in content.flights],
+        notes=[*content.notes, *(f"All flights: {note}" for note in shared)],
+        flights=[_flight(row, shared) for row in content.flights],
         plans=[_plan(row) for row in content.plans],
         models=[_model(row) for row in content.models],
         tracks=tracks,
@@ -78,8 +79,15 @@ def _number(value: float | None, form: str, factor: float = 1.0) -> str:
     return "–" if value is None else format(factor * value, form)
 
 
-def _flight(row: Mapping[str, Any]) -> dict[str, Any]:
-    """Return a flight's row of the table."""
+def _shared_notes(flights: Sequence[Mapping[str, Any]]) -> list[str]:
+    """Return the notes that every one of several flights has."""
+    if len(flights) < 2:
+        return []
+    return [note for note in flights[0]["notes"] if all(note in row["notes"] for row in flights)]
+
+
+def _flight(row: Mapping[str, Any], shared: Sequence[str]) -> dict[str, Any]:
+    """Return a flight's row of the table, without the notes that all flights share."""
     source = {True: "simulated", False: "flown", None: "flight"}[row["simulated"]]
     tracking = row["tracking_s"]
     return {
@@ -93,7 +101,7 @@ def _flight(row: Mapping[str, Any]) -> dict[str, Any]:
         "rmse": _number(row["error_rmse_m"], ".1f", 1e3),
         "mean": _number(row["error_mean_m"], ".1f", 1e3),
         "max": _number(row["error_max_m"], ".1f", 1e3),
-        "notes": row["notes"],
+        "notes": [note for note in row["notes"] if note not in shared],
     }
 
 

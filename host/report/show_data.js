@@ -28,6 +28,7 @@ for (const track of TRACKS) {
   track.drawsReference = !same.length || track === (same.find((other) => other.what === "plan") || same[0]);
   track.sharesReference = same.length > 1 && track.what !== "plan";
 }
+const REFERENCES = new Set(TRACKS.filter((track) => track.channels.p_ref).map((track) => track.reference_id || track.number));
 const SEVERAL = TRACKS.length > 1;
 const STEP_S = TRACKS.length ? TRACKS[0].step_s : 0.01;
 

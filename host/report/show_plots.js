@@ -27,7 +27,8 @@ function seriesOf(quantity, columns) {
       const wanted = quantity.refName === "commanded" ? !SEVERAL : track.drawsReference;
       if (ref && wanted && refColumn >= 0 && refColumn < ref.width) {
         const planned = track.what === "plan" && !track.channels[quantity.key];
-        const named = track.sharesReference ? quantity.refName : `${name}, ${quantity.refName}`;
+        const shared = REFERENCES.size > 1 ? `${quantity.refName} of ${track.name}` : quantity.refName;
+        const named = track.sharesReference ? shared : `${name}, ${quantity.refName}`;
         const label = planned ? `${name}, planned` : named;
         const own = track.sharesReference && !planned ? OKABE_ITO[6] : colour;
         series.push({ label, colour: own, dash: planned ? track.dash : [4, 4], y: columnOf(track, quantity.ref, refColumn) });
@@ -146,7 +147,7 @@ function drawEvents(chart) {
       if (event.kind === "text") continue;
       const x = Math.round(chart.valToPos(event.t_s, "x", true)) + 0.5;
       if (x < chart.bbox.left || x > chart.bbox.left + chart.bbox.width) continue;
-      context.strokeStyle = event.kind === "failsafe" ? theme().forbidden : theme().soft;
+      context.strokeStyle = event.kind === "failsafe" ? theme().forbidden : SEVERAL ? shown(track.colour) : theme().soft;
       context.setLineDash(event.kind === "failsafe" ? [] : [2, 4]);
       context.beginPath();
       context.moveTo(x, chart.bbox.top);

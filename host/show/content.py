@@ -122,6 +122,8 @@ def _sorted(inputs: Sequence[Path]) -> _Files:
             files.references.append(path)
         elif path.suffix in (LOG_SUFFIX, ".part"):
             files.logs.append(path)
+        elif not path.exists():
+            raise UsageError(f"{path}: no such file or folder; check the path")
         else:
             raise UsageError(
                 f"{path}: give a flight log ({LOG_SUFFIX}), a reference ({REFERENCE_SUFFIX}), "

@@ -26,15 +26,14 @@ FLAGS = (
     "--disable-component-update",
     "--disable-sync",
     "--allow-file-access-from-files",  # so that the frame below can be read
-    "--virtual-time-budget=20000",
     "--window-size=1400,1000",
     "--dump-dom",
 )
 FRAME = """<iframe id="frame" width="{width}" height="900" src="{page}#check"></iframe><pre id="said"></pre>
-<script>document.getElementById("frame").onload = () => setTimeout(() => {{
+<script>document.getElementById("frame").onload = () => {{
   const inside = document.getElementById("frame").contentDocument;
   document.getElementById("said").textContent = inside.getElementById("check").textContent;
-}}, 100);</script>"""
+}};</script>"""
 """A window cannot be as narrow as a phone; a frame can."""
 FLIGHT = ["Tracking error", "Position", "Velocity", "Attitude", "Body rate", "Motor commands"]
 

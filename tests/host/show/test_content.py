@@ -72,6 +72,8 @@ def test_events_hold_the_phases_in_order(a1: Path) -> None:
     phases = [event["text"] for event in show(a1).flights[0]["events"] if event["kind"] == "phase"]
     assert phases == ["takeoff", "tracking", "hold", "landing", "standby"][: len(phases)]
     assert "tracking" in phases
+    tracking = next(event for event in show(a1).flights[0]["events"] if event["text"] == "tracking")
+    assert tracking["t_s"] == 0.0
 
 
 def test_log_cut_anywhere_shows_its_intact_part(a1: Path) -> None:
