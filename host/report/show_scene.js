@@ -54,6 +54,9 @@ function addScene(canvas) {
   SCENE.low = low;
   SCENE.high = high;
   turnable(canvas);
+  new ResizeObserver(() => {
+    if (canvas.clientWidth !== SCENE.width || canvas.clientHeight !== SCENE.height) drawStill();
+  }).observe(canvas);
   return true;
 }
 
