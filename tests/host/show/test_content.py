@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.log import LogError, read_flight
+from trimtab.host.log import LogError, Mocap, RecordedInputs, read_flight, write_imported
 from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at, tracking_error
@@ -249,3 +249,23 @@ def test_page_asks_nothing_of_a_network(a1: Path) -> None:
     for word in ('src="http', 'href="http', "@import", "fetch(", "XMLHttpRequest", "url(http"):
         assert word not in html, word
     assert len(html) < 3_000_000
+
+
+def test_import_with_a_recorded_reference_has_its_error(tmp_path: Path) -> None:
+    t_us = np.arange(0, 3_000_000, 10_000, dtype=np.int64)
+    p = np.stack([np.sin(t_us * 1e-6), np.cos(t_us * 1e-6), -np.ones(len(t_us))], axis=1)
+    path = tmp_path / "foreign.mcap"
+    write_imported(
+        path,
+        vehicle=VEHICLE,
+        mocap=Mocap(t_us=t_us, t_arrival_us=t_us, p=p, q=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1))),
+        inputs=RecordedInputs(t_us=t_us, level="reference", p_ref=p + np.array([0.03, 0.0, 0.04])),
+        tracking_us=(1_000_000, 2_000_000),
+        session={"source": "bench"},
+    )
+    shown = show(path)
+    (row,), (track,) = shown.flights, shown.tracks
+    assert row["error_rmse_m"] == pytest.approx(0.05)
+    assert (row["kind"], row["simulated"], track.what) == ("imported", None, "import")
+    assert np.isfinite(track.channels["error"]).sum() == 101
+    assert "imported" in page(shown)
