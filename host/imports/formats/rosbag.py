@@ -248,8 +248,12 @@ class _Bag:
             self._reader.open()
         except Exception as error:
             raise self._damaged(error) from None
-        self.connections: list[Any] = sorted(self._reader.connections, key=lambda c: c.topic)
-        self.duration_s = max(0.0, self._reader.duration * 1e-9) if self.connections else 0.0
+        connections: list[Any] = self._reader.connections
+        if not all(isinstance(text, str) for c in connections for text in (c.topic, c.msgtype)):
+            self._reader.close()  # a cell of SQLite may have any type
+            raise self._damaged(TypeError())
+        self.connections = sorted(connections, key=lambda c: c.topic)
+        self.duration_s = max(0.0, self._reader.duration * 1e-9) if connections else 0.0
 
     def __enter__(self) -> _Bag:
         return self

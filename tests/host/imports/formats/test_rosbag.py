@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import sqlite3
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -41,6 +43,14 @@ def test_truncated_bag_names_the_command_that_repairs_it(file_of: Any, kind: str
             ImportFormatError, match=rf"{path.name}: not a whole bag .*; repair it with {repair}$"
         ):
             act(path)
+
+
+def test_topic_whose_name_is_no_text_is_damage(file_of: Any) -> None:
+    path: Path = file_of("sqlite3")
+    with closing(sqlite3.connect(path)) as database, database:
+        database.execute("UPDATE topics SET name = x'00' WHERE name = '/cf0/imu'")
+    with pytest.raises(ImportFormatError, match="not a whole bag"):
+        contents(path)
 
 
 @pytest.mark.parametrize(("count", "rate_hz"), [(0, 0.0), (1, 0.0), (5, 2.0)])
