@@ -156,6 +156,9 @@ class Effect:
         signals the effect is left out of the model.
     adjustment
         Whether the effect is in every model within its tolerance and is never a candidate.
+    tolerance_of_motors
+        Whether the tolerance that a vehicle file states is that of its `thrust_max_n`. It does not count in
+        logs that hold commanded thrust in N.
     replaced_by
         Words of `unknown` in a log that take the effect out of the model, since a nuisance explains the same.
     freed_by
@@ -215,6 +218,7 @@ class Effect:
     observable: str = ""
     needs_signals: Mapping[Signal, float] = field(default_factory=dict, hash=False)
     adjustment: bool = False
+    tolerance_of_motors: bool = False
     replaced_by: tuple[str, ...] = ()
     freed_by: tuple[str, ...] = ()
     requires_any: tuple[str, ...] = ()

@@ -18,6 +18,7 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="thrust-gain",
     title="Thrust gain",
+    tolerance_of_motors=True,
     equation="T_i = gain T_i,nominal",
     source="5-10 % between propellers, batteries and motor controllers of the same type",
     parameters=(

@@ -192,8 +192,6 @@ class ParameterSpace:
 
 _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
 """Parameters of the adjustment for an unknown thrust curve: key, scale, bound."""
-_OF_MOTOR_COMMANDS = frozenset({"thrust-gain"})
-"""Effects whose tolerance in a vehicle file is that of `thrust_max_n`, which thrust in N does not need."""
 
 
 def space(
@@ -210,10 +208,9 @@ def space(
     for another word in `unknown`.
     """
     if thrust_commanded:
+        of_motors = {name for name, effect in effects.items() if effect.tolerance_of_motors}
         kept = {
-            key: value
-            for key, value in vehicle.tolerances.items()
-            if key.partition(".")[0] not in _OF_MOTOR_COMMANDS
+            key: value for key, value in vehicle.tolerances.items() if key.partition(".")[0] not in of_motors
         }
         vehicle = vehicle.model_copy(update={"tolerances": kept})
     unknown = frozenset(unknown)
