@@ -75,6 +75,7 @@ VERBS = (
         help="Write a vehicle file from a few facts, or check one against a flight.",
     ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
+    Verb(name="lineage", module="lineage", help="Tell what a file came from and what came from it."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
 )
