@@ -76,6 +76,7 @@ VERBS = (
     ),
     Verb(name="log", module="log", help="Describe, recover or export a flight log."),
     Verb(name="show", module="show", help="Show flights, plans and models on one interactive page."),
+    Verb(name="lineage", module="lineage", help="Tell what a file came from and what came from it."),
     Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
     Verb(name="bench", module="bench", help="Measure speed on this machine."),
 )

@@ -191,6 +191,23 @@ def test_show_prints_what_the_page_says(
     assert len(told["notes"]) == 1
 
 
+def test_lineage_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], drag_model: str, log: str, tmp_path: Path
+) -> None:
+    trimtab("correct", drag_model, "-o", "drag.ff")
+    (tmp_path / "drag.ff").rename(tmp_path / "copy.ff")
+    (tmp_path / "drag.ff.json").rename(tmp_path / "copy.ff.json")
+    trimtab("correct", drag_model, "-o", "drag.ff")
+    (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:-1])
+    told = trimtab("lineage", "drag.ff")
+    (tmp_path / log).unlink()
+    (tmp_path / "flight.json").write_text(
+        json.dumps({"provenance": {"parents": {"feedforward": told["id"]}}})
+    )
+    check("lineage", {**trimtab("lineage", "drag.ff"), "missing": ["0" * 12]})
+    assert told["copies"] == ["copy.ff"]
+
+
 def test_vehicle_prints_what_the_page_says(
     trimtab: Callable[..., dict[str, Any]], log: str, tmp_path: Path
 ) -> None:
