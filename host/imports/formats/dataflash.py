@@ -150,10 +150,20 @@ def _read(
     """Fill the rows of the named messages, numbers only, and the parameters."""
     from pymavlink.DFReader import DFReader_binary
 
+    class Forwards(DFReader_binary):
+        """A reader that stops at a message of no length, which DFReader reads for ever."""
+
+        def _parse_next(self) -> Any:
+            begin = self.offset
+            message = super()._parse_next()
+            if message is not None and self.offset <= begin:
+                raise EOFError
+            return message
+
     # DFReader leaves the file open if it cannot read the beginning.
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", ResourceWarning)
-        reader: Any = DFReader_binary(str(path))
+        reader: Any = Forwards(str(path))
         with closing(reader.filehandle):
             while (message := reader.recv_match(type=names)) is not None:
                 kind, held = message.get_type(), message.to_dict()

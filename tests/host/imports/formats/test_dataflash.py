@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -92,3 +93,12 @@ def test_damaged_log_is_told_without_the_librarys_own_words(
 def test_frame_that_is_no_number_is_as_if_missing(write: Write) -> None:
     found = read(write(FRAME_CLASS=math.nan, FRAME_TYPE=math.inf))
     assert found.motor_corners == read(write()).motor_corners
+
+
+def test_message_of_no_length_is_not_read_for_ever(tmp_path: Path, write: Write) -> None:
+    path = tmp_path / "hurt.bin"
+    whole = write().read_bytes()
+    empty = struct.pack("<BB4s16s64s", 99, 0, b"NONE", b"", b"")
+    path.write_bytes(definitions() + HEAD + bytes([0x80]) + empty + HEAD + bytes([99]) + whole)
+    with pytest.raises(ImportFormatError, match=r"hurt\.bin: not a whole DataFlash log"):
+        read(path)
