@@ -5,7 +5,6 @@ The world is NED, the body FRD, angles are in degrees, times in us since boot. P
 
 from __future__ import annotations
 
-import warnings
 from array import array
 from contextlib import closing
 from pathlib import Path
@@ -151,7 +150,14 @@ def _read(
     from pymavlink.DFReader import DFReader_binary
 
     class Forwards(DFReader_binary):
-        """A reader that stops at a message of no length, which DFReader reads for ever."""
+        """DFReader that stops at a message of no length, and closes its file if it cannot be read."""
+
+        def __init__(self, name: str) -> None:
+            try:
+                super().__init__(name)
+            except BaseException:
+                self.filehandle.close()
+                raise
 
         def _parse_next(self) -> Any:
             begin = self.offset
@@ -160,22 +166,17 @@ def _read(
                 raise EOFError
             return message
 
-    # DFReader leaves the file open if it cannot read the beginning.
-    with warnings.catch_warnings():
-        warnings.simplefilter("ignore", ResourceWarning)
-        reader: Any = Forwards(str(path))
-        with closing(reader.filehandle):
-            while (message := reader.recv_match(type=names)) is not None:
-                kind, held = message.get_type(), message.to_dict()
-                if kind == "PARM":
-                    parameters[str(held["Name"])] = float(held["Value"])
-                    continue
-                if any(held.get(field) for field in INSTANCES):
-                    continue
-                numbers = {
-                    k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"
-                }
-                fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
-                if tuple(numbers) == fields:
-                    times.append(int(held["TimeUS"]))
-                    values.extend(numbers.values())
+    reader: Any = Forwards(str(path))
+    with closing(reader.filehandle):
+        while (message := reader.recv_match(type=names)) is not None:
+            kind, held = message.get_type(), message.to_dict()
+            if kind == "PARM":
+                parameters[str(held["Name"])] = float(held["Value"])
+                continue
+            if any(held.get(field) for field in INSTANCES):
+                continue
+            numbers = {k: float(v) for k, v in held.items() if isinstance(v, int | float) and k != "TimeUS"}
+            fields, times, values = rows.setdefault(kind, (tuple(numbers), array("q"), array("d")))
+            if tuple(numbers) == fields:
+                times.append(int(held["TimeUS"]))
+                values.extend(numbers.values())
