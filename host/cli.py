@@ -45,6 +45,7 @@ VERBS = (
         module="demo",
         help="Plan, fly, trace the missing effects and plan again, then write a report.",
     ),
+    Verb(name="init", module="init", help="Make a workspace: folders for your own files."),
     Verb(name="plan", module="plan", help="Plan a reference for a route and check it."),
     Verb(name="export", module="export", help="Export a plan for other vehicles and programs."),
     Verb(name="sitl", module="sitl", help="Simulate a vehicle and its camera system at a port."),

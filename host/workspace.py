@@ -93,3 +93,42 @@ def open_workspace(folder: str | Path | None = None) -> Workspace:
         if (root / name).exists() and not (root / name).is_dir():
             raise UsageError(f"{root / name}: is a file where a workspace has a folder; rename it")
     return Workspace(root=root)
+
+
+_ROUTE = """\
+# An example: a square, back to where it began. Positions are north, east, down in metres; up is negative.
+name = "square"
+total_time_s = 8.0
+waypoints_m = [[0, 0, -1.2], [1.5, 0, -1.2], [1.5, 1.5, -1.2], [0, 1.5, -1.2], [0, 0, -1.2]]
+"""
+_README = """\
+# Workspace of Trimtab
+
+- `vehicles/`: vehicle files. `trimtab vehicle new NAME ...` writes one here.
+- `routes/`: route files. `trimtab plan square` plans the example.
+- `effects/`: candidate effects of your own, one Python file each.
+- `controllers/`: controller files.
+
+Run `trimtab` in this folder, or with `--workspace`. `trimtab lineage FILE` tells what a file came from.
+"""
+
+
+def make_workspace(root: Path) -> list[Path]:
+    """Make the folders of a workspace, with a route as an example, and return what was made.
+
+    What exists stays as it is. Raises UsageError if `root` is a file or cannot be written to.
+    """
+    made: list[Path] = []
+    try:
+        for folder in (root, *(root / name for name in FOLDERS)):
+            if not folder.is_dir():
+                folder.mkdir(parents=True)
+                made.append(folder)
+        for path, text in ((root / "README.md", _README), (root / "routes" / "square.toml", _ROUTE)):
+            if not path.exists():
+                path.write_text(text, encoding="utf-8")
+                made.append(path)
+    except OSError as error:
+        place = error.filename or root
+        raise UsageError(f"{place}: cannot be made ({error.strerror}); choose another folder") from error
+    return made

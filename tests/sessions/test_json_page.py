@@ -121,6 +121,16 @@ def test_plan_and_fly_print_what_the_page_says(
     check("fly", trimtab("fly", "hop.ref", "-o", "hop.mcap"))
 
 
+def test_init_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], tmp_path: Path) -> None:
+    check("init", trimtab("init", "lab"))
+    assert trimtab("init", "lab")["made"] == []
+    (tmp_path / "lab" / "README.md").write_text("mine")
+    (tmp_path / "lab" / "effects").rmdir()
+    assert trimtab("init", "lab")["made"] == ["lab/effects"]
+    assert (tmp_path / "lab" / "README.md").read_text() == "mine"
+    trimtab("plan", "square", "--workspace", "lab", "-o", "square.ref")
+
+
 def test_export_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], hop: str) -> None:
     trimtab("plan", hop, "-o", "hop.ref")
     for form in ("csv", "crazyflie"):
