@@ -137,7 +137,7 @@ def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.
     )
     write_model(model, workspace / "m.model.toml")
     told = []
-    for more in (["-o", "snap.ref", "--kind", "min-snap"], []):
+    for more in (["-o", "snap.ref", "--kind", "min-snap", "--clearance", "0"], []):
         assert main(["plan", "window", "--vehicle", "mine", "--model", "m.model.toml", "--json", *more]) == 0
         told.append(json.loads(capsys.readouterr().out.splitlines()[-1]))
     snap, residual = told
