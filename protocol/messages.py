@@ -52,6 +52,7 @@ CommandLong = mavlink.MAVLink_command_long_message
 CommandInt = mavlink.MAVLink_command_int_message
 CommandAck = mavlink.MAVLink_command_ack_message
 Timesync = mavlink.MAVLink_timesync_message
+VisionPositionEstimate = mavlink.MAVLink_vision_position_estimate_message
 AttPosMocap = mavlink.MAVLink_att_pos_mocap_message
 AutopilotVersion = mavlink.MAVLink_autopilot_version_message
 SetupSigning = mavlink.MAVLink_setup_signing_message

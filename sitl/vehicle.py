@@ -7,6 +7,7 @@ called only when it has work. Nothing here reads a real clock: the same seeds gi
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
 from functools import lru_cache, partial
 from operator import add
@@ -16,6 +17,7 @@ from typing import Any, Self
 
 from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.mcu.flight_mcu import FlightMcu, flight_uart
 from trimtab.firmware_model.mcu.radio_mcu import RadioMcu
 from trimtab.firmware_model.mcu.uart import UartPort, connect
@@ -26,6 +28,7 @@ from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import draw_world
@@ -37,6 +40,7 @@ from trimtab.sitl.seeds import Purpose, flight_generator, session_uid
 from trimtab.sitl.sensors import Imu, Mocap
 from trimtab.sitl.serve import ServeStatistics, serve
 from trimtab.sitl.setting import Place, Setting
+from trimtab.sitl.stand_in import StandIn
 from trimtab.sitl.timing import TickTimes
 from trimtab.sitl.truth import truth_record
 from trimtab.sitl.world import RadioSettings, load_world
@@ -206,6 +210,22 @@ class SimulatedVehicle:
     ) -> ServeStatistics:
         """Run in real time at a port until `stop` returns True; see `trimtab.sitl.serve.serve`."""
         return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
+
+    @property
+    def clock_us(self) -> int:
+        """Time on the clock of the flight processor, which a reboot restarts, us."""
+        return self.now_us - self._booted_us
+
+    def as_autopilot(self, make: str) -> StandIn:
+        """Return this vehicle, powered up anew, with a port that speaks as another autopilot.
+
+        make: "px4" or "ardupilot". It limits the acceleration of setpoints to what its greatest tilt
+        gives, not to OFFB_ACCEL.
+        """
+        accel = GRAVITY * math.tan(math.radians(self._setting.vehicle.limits.tilt_max_deg))
+        self._parameters = {**self._parameters, "OFFB_ACCEL": min(accel, BY_NAME["OFFB_ACCEL"].max)}
+        self._power_up(self._flight, self._setting.start)
+        return StandIn(self, make)
 
     def truth(self) -> dict[str, Any]:
         """Return the sealed truth: world, seed, drawn values, uid. For checks only."""

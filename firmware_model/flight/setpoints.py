@@ -4,7 +4,9 @@ Every setpoint of position or velocity becomes a short polynomial that starts at
 velocity, acceleration and jerk of the reference, so the reference never jumps. It ends with the velocity and
 acceleration that the setpoint gives. Without a newer setpoint the acceleration then ends within RENEWAL_S and
 the velocity stays. If setpoints arrive at a constant rate, this filters the stream: a moving position is
-followed with a delay of 0.29 s, or without delay if the setpoint includes its velocity.
+followed with a delay of 0.29 s, or without delay if the setpoint includes its velocity. A setpoint of
+position and velocity that moves is taken as a sample of a trajectory: its pieces may be shorter, so the
+reference stays closer to the stream.
 """
 
 from __future__ import annotations
@@ -29,6 +31,9 @@ from trimtab.firmware_model.flight.track import ENDLESS_US, SEPTIC_PEAK, Track, 
 
 SHORTEST_S = 0.5
 """Shortest duration of a piece, also for small changes."""
+SAMPLE_S = 0.25
+"""The same to a sample of a trajectory. It is longer than ten setpoints at 50 Hz, so the jitter of their
+arrival and a few lost ones hardly move the acceleration."""
 SEPTIC_ACCEL = 7.52
 """Peak acceleration of a septic from rest to rest, times its duration squared over its distance."""
 RENEWAL_S = 1.0
@@ -61,6 +66,11 @@ class PositionTarget:
     def __post_init__(self) -> None:
         if any(p is None and v is None for p, v in zip(self.p, self.v, strict=True)):
             raise ValueError("an axis needs a position or a velocity")
+
+    @property
+    def is_sample(self) -> bool:
+        """Whether the target is a sample of a trajectory: position and velocity of all axes, in motion."""
+        return None not in (*self.p, *self.v) and not self.is_stationary
 
     @property
     def is_stationary(self) -> bool:
@@ -129,7 +139,8 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     The track continues without end. `target.ahead` must be False; `to_ned` converts such a target.
     """
     goal, goal_v = _bounded_goal(target, state, bounds)
-    nodes = _nodes(goal, goal_v, target.a, state, bounds)
+    shortest_s = SAMPLE_S if target.is_sample else SHORTEST_S
+    nodes = _nodes(goal, goal_v, target.a, state, bounds, shortest_s)
     t_us, end = nodes[-1]
     velocity: Vector = (end[3], end[4], end[5])
     if any(end[6:9]):
@@ -145,7 +156,9 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds)), bounded
 
 
-def _nodes(goal: Axes, goal_v: Vector, accel: Vector, state: Node, bounds: Bounds) -> list[tuple[int, Node]]:
+def _nodes(
+    goal: Axes, goal_v: Vector, accel: Vector, state: Node, bounds: Bounds, shortest_s: float
+) -> list[tuple[int, Node]]:
     """Return nodes from the state to the goal.
 
     They reach the goal in one piece if possible; else after the acceleration has decayed; else after a stop.
@@ -155,7 +168,7 @@ def _nodes(goal: Axes, goal_v: Vector, accel: Vector, state: Node, bounds: Bound
     start = [(0, state)]
     for fixed, start in _starts(state, bounds):
         t_us, node = start[-1]
-        duration = _initial_duration_s(goal, goal_v, node, bounds)
+        duration = _initial_duration_s(goal, goal_v, node, bounds, shortest_s)
         for _ in range(_STRETCHES):
             end = _end(goal, goal_v, accel, node, duration, bounds)
             nodes = [*start, (t_us + seconds_us(duration), end)]
@@ -163,7 +176,7 @@ def _nodes(goal: Axes, goal_v: Vector, accel: Vector, state: Node, bounds: Bound
                 return [*fixed, *nodes]
             duration *= _STRETCH
     t_us, node = start[-1]
-    return [*fixed, *start, (t_us + seconds_us(SHORTEST_S), node)]
+    return [*fixed, *start, (t_us + seconds_us(shortest_s), node)]
 
 
 def _starts(state: Node, bounds: Bounds) -> Iterator[tuple[list[tuple[int, Node]], list[tuple[int, Node]]]]:
@@ -194,12 +207,14 @@ def _speed_limit(distance: float, bounds: Bounds) -> float:
     return max(0.0, min(math.sqrt(0.5 * bounds.accel * max(distance, 0.0)), distance))
 
 
-def _initial_duration_s(goal: Axes, velocity: Vector, state: Node, bounds: Bounds) -> float:
+def _initial_duration_s(
+    goal: Axes, velocity: Vector, state: Node, bounds: Bounds, shortest_s: float
+) -> float:
     """Return the duration at which the search for the shortest piece within the bounds starts."""
     distance = math.hypot(*(0.0 if x is None else x - state[i] for i, x in enumerate(goal)))
     change = math.hypot(*(velocity[i] - state[3 + i] for i, x in enumerate(goal) if x is None))
     return max(
-        SHORTEST_S,
+        shortest_s,
         _FIRST * SEPTIC_PEAK * distance / bounds.speed,
         _FIRST * math.sqrt(SEPTIC_ACCEL * distance / bounds.accel),
         _FIRST * QUINTIC_PEAK * change / bounds.accel,

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
 
+from trimtab.host.autopilot.doubt import Doubt
+from trimtab.host.autopilot.kinds import AutopilotKind
 from trimtab.host.base.errors import UsageError
 from trimtab.host.link.host_control import ControlStop, HostControl
 from trimtab.host.link.keys import StationKey
@@ -13,6 +15,9 @@ from trimtab.host.link.swap import SwapEnd
 from trimtab.host.link.takeover import Takeover
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
+
+Ask = Callable[[tuple[str, ...]], Callable[[], bool | None]]
+"""Shows lines to a person. Returns a function that returns the answer, None before there is one."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -41,6 +46,10 @@ class FlightRequest:
         Key of message signing; None for a vehicle without one.
     control
         Controller on the host that flies the reference. None: the vehicle flies it by its own law.
+    autopilot
+        Make of another autopilot, to which setpoints are streamed; None for a Trimtab vehicle.
+    ask
+        Asks a person before another autopilot is armed. None: nobody is asked.
     """
 
     vehicle: Vehicle
@@ -59,6 +68,8 @@ class FlightRequest:
     swap_us: int = 0
     key: StationKey | None = None
     control: HostControl | None = None
+    autopilot: AutopilotKind | None = None
+    ask: Ask | None = None
 
     def __post_init__(self) -> None:
         if self.control is not None and self.then is not None:
@@ -83,7 +94,8 @@ class FlightEnd:
     `whole`: the reference was flown to its end, without a break. `failsafe`: name of the failsafe that ended
     the flight, if any. `swap`: outcome of the reference swap; None if none was requested. `stop`: why a
     controller on the host ended its commands early; None if it did not, or without one. `takeover`: first
-    command of another station that changed the flight, if any.
+    command of another station that changed the flight, if any. `doubt`: why the host ended the flight of
+    another autopilot; None if it did not.
     """
 
     whole: bool
@@ -92,3 +104,4 @@ class FlightEnd:
     swap: SwapEnd | None = None
     stop: ControlStop | None = None
     takeover: Takeover | None = None
+    doubt: Doubt | None = None

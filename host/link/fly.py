@@ -5,13 +5,17 @@ from __future__ import annotations
 import contextlib
 import gc
 from collections.abc import Callable, Iterator
+from typing import Protocol
 
+from trimtab.host.autopilot.director import StreamDirector
+from trimtab.host.autopilot.doubt import DOUBT_WORDS, Doubt
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector
-from trimtab.host.link.flight_request import FlightRequest
+from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.host_control import STOP_WORDS
 from trimtab.host.link.ports import Cameras, open_port
+from trimtab.host.link.session import Session
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle
 from trimtab.host.log import FAILSAFE_WORDS
@@ -33,6 +37,25 @@ class FlightInterrupted(KeyboardInterrupt):
         self.result = result
 
 
+class Director(Protocol):
+    """What flies a request: see `trimtab.host.link.flight.FlightDirector`."""
+
+    session: Session
+    end: FlightEnd | None
+    log_open: bool
+    interrupted: bool
+
+    def interrupt(self) -> None: ...
+    def abandon(self, error: BaseException) -> None: ...
+    def close(self) -> None: ...
+
+
+def _director(request: FlightRequest, on_phase: Callable[[str], None] | None) -> Director:
+    if request.autopilot is None:
+        return FlightDirector(request, on_phase)
+    return StreamDirector(request, on_phase)
+
+
 def fly_lockstep(
     request: FlightRequest,
     vehicle: Vehicle,
@@ -45,7 +68,7 @@ def fly_lockstep(
     Raises FlightEnded, TrimtabError or any error of the vehicle. An interrupt raises FlightInterrupted once
     the log is closed, or KeyboardInterrupt if no log was begun.
     """
-    director = FlightDirector(request, on_phase)
+    director = _director(request, on_phase)
     late = Interrupts() if realtime else contextlib.nullcontext()
     with _settled_heap(), late:
         try:
@@ -75,7 +98,7 @@ def fly_port(
     Raises the same errors as `fly_lockstep`. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first. A second
     Ctrl-C leaves the vehicle to its failsafe.
     """
-    director = FlightDirector(request, on_phase)
+    director = _director(request, on_phase)
     with (
         contextlib.closing(Cameras(mocap)) as cameras,
         contextlib.closing(open_port(port)) as line,
@@ -106,14 +129,14 @@ def _settled_heap() -> Iterator[None]:
         gc.unfreeze()
 
 
-def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveStatistics) -> FlightResult:
+def _conclude(director: Director, request: FlightRequest, driven: DriveStatistics) -> FlightResult:
     """Return the result of a finished session, or raise its error."""
     error = director.session.error
     if isinstance(error, SESSION_ERRORS):
         raise _with_log(error, director, request)
     if error is not None and not (isinstance(error, KeyboardInterrupt) and director.log_open):
         raise error
-    result = summarise(director, request.log_path, driven)
+    result = summarise(director.end, request.log_path, driven)
     end = director.end
     if end is None or end.interrupted:
         raise FlightInterrupted(_how_interrupted(director, request), result)
@@ -130,6 +153,9 @@ def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveSta
             f"its log is {request.log_path}",
             result,
         )
+    if end.doubt is not None:
+        landed = "" if end.doubt is Doubt.LEFT_MODE else "; the vehicle has landed"
+        raise FlightEnded(f"{DOUBT_WORDS[end.doubt]}{landed}; its log is {request.log_path}", result)
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {request.log_path}", result)
     if end.swap is not None and not end.swap.happened:
@@ -141,7 +167,7 @@ def _conclude(director: FlightDirector, request: FlightRequest, driven: DriveSta
     return result
 
 
-def _how_interrupted(director: FlightDirector, request: FlightRequest) -> str:
+def _how_interrupted(director: Director, request: FlightRequest) -> str:
     """Return a sentence about the state of the vehicle and the path of the log."""
     log = f"its log is {request.log_path}"
     if director.end is not None:
@@ -149,7 +175,7 @@ def _how_interrupted(director: FlightDirector, request: FlightRequest) -> str:
     return f"the vehicle is left to its failsafe; {log}" if director.interrupted else log
 
 
-def _with_log(error: TrimtabError, director: FlightDirector, request: FlightRequest) -> TrimtabError:
+def _with_log(error: TrimtabError, director: Director, request: FlightRequest) -> TrimtabError:
     """Return the error, with the path of the log added if there is one."""
     if not director.log_open:
         return error

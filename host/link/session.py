@@ -17,6 +17,12 @@ from trimtab.protocol.codec import decode_message
 from trimtab.protocol.messages import Message
 from trimtab.protocol.stream import StreamSplitter
 
+Forward = Callable[[m.AttPosMocap, int, int | None], Message | None]
+"""Returns the message that forwards a pose, or None.
+
+It receives the pose and its time of exposure in us: on the host's clock, and on the vehicle's (None if that
+is not known).
+"""
 Script = Generator[Task, Any, Any]
 """A generator that yields tasks, receives their results or errors, and returns the session's result."""
 
@@ -42,6 +48,8 @@ class Session:
         Clock of the camera system. Poses are forwarded with stamps on the vehicle's clock.
     key
         Key of message signing; None for a vehicle without one.
+    forward
+        How poses are forwarded. Default: as a Trimtab vehicle takes them.
 
     Attributes
     ----------
@@ -66,8 +74,10 @@ class Session:
         script: Callable[[Session], Script],
         camera: CameraClock | None = None,
         key: StationKey | None = None,
+        forward: Forward | None = None,
     ) -> None:
         self.client = Client(key)
+        self._forward = forward or to_trimtab
         self.camera = camera or CameraClock(None)
         self.listener: Listener | None = None
         self.done = False
@@ -196,11 +206,18 @@ class Session:
             if not camera.pose(message.time_usec, now_us):
                 continue
             self.poses += 1
-            vehicle_us = 0
-            if clock.exchanges:
-                vehicle_us = max(0, round(message.time_usec - camera.offset_us + clock.offset_us))
-                forwarded = m.AttPosMocap(vehicle_us, message.q, message.x, message.y, message.z)
+            host_us = message.time_usec - camera.offset_us
+            vehicle_us = max(0, round(host_us + clock.offset_us)) if clock.exchanges else None
+            forwarded = self._forward(message, round(host_us), vehicle_us)
+            if forwarded is not None:
                 self.client.send(forwarded)
                 self.forwarded += 1
             if self.listener is not None:
-                self._notify(self.listener.pose, message, vehicle_us, now_us)
+                self._notify(self.listener.pose, message, vehicle_us or 0, now_us)
+
+
+def to_trimtab(pose: m.AttPosMocap, host_us: int, vehicle_us: int | None) -> Message | None:
+    """Return the pose as a Trimtab vehicle takes it, on its own clock."""
+    if vehicle_us is None:
+        return None
+    return m.AttPosMocap(vehicle_us, pose.q, pose.x, pose.y, pose.z)

@@ -8,7 +8,6 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.link.drivers import DriveStatistics
-from trimtab.host.link.flight import FlightDirector
 from trimtab.host.link.flight_request import FlightEnd
 from trimtab.host.log import Flight, control_report, link_report, read_flight, topics
 from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
@@ -58,6 +57,7 @@ class FlightResult:
             "swap": None if self.end is None or self.end.swap is None else self.end.swap.to_json(),
             "takeover": self._takeover_json(),
             "control": self._control_json(),
+            "doubt": None if self.end is None or self.end.doubt is None else str(self.end.doubt),
         }
 
     def _takeover_json(self) -> dict[str, Any] | None:
@@ -92,7 +92,7 @@ class FlightResult:
         return lines + link_report.to_lines(dict(self.link))
 
 
-def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> FlightResult:
+def summarise(end: FlightEnd | None, log: Path, driven: DriveStatistics) -> FlightResult:
     """Return the result of a flight whose log is closed. Raises LogError if the log cannot be read back."""
     flight = read_flight(log, leave_out=[topics.FC_CONTROL])  # the result does not use this topic
     error = tracking_error(flight)
@@ -100,7 +100,7 @@ def summarise(director: FlightDirector, log: Path, driven: DriveStatistics) -> F
         log=log,
         log_id=flight.id,
         reference=flight.reference_id or "",
-        end=director.end,
+        end=end,
         tracking_rmse_m=None if error is None else error.rmse_m,
         tracking_max_m=None if error is None else error.max_m,
         clipped_share=_clipped_share(flight),

@@ -16,7 +16,10 @@ GROUP = "trimtab.vehicles"
 class Vehicle(Protocol):
     """A vehicle, its radio link up to the host's serial port, and its camera system, on one clock."""
 
-    now_us: int
+    @property
+    def now_us(self) -> int:
+        """Time since the vehicle was made, us."""
+        ...
 
     def run_until(self, t_us: int) -> int:
         """Run until `t_us`, or until serial bytes or datagrams wait for the host. Return the time reached."""

@@ -18,6 +18,7 @@ from trimtab.host.log import topics
 from trimtab.host.log.composed import composed, swap_us
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.provenance import (
+    AUTOPILOT,
     FEEDFORWARD_FILE,
     HOST_CONTROL,
     PARAMETERS,
@@ -118,6 +119,9 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
     host_control = read_host_control(entries, records.metadata.get(HOST_CONTROL), vehicle_shift_us)
     if host_control is not None and reference is not None:
         tracking, whole = _tracking_by_host(statuses, reference, vehicle_shift_us, host_control)
+    elif AUTOPILOT in records.metadata and reference is not None:
+        start_us = int(records.metadata[AUTOPILOT]["reference_start_us"])
+        tracking, whole = _tracking_by_setpoints(entries, reference, start_us)
     else:
         tracking, whole = _tracking(statuses, reference, vehicle_shift_us, began_us)
     if tracking is None and "tracking_us" in metadata:
@@ -235,3 +239,16 @@ def _tracking_by_host(
     if last_us >= end_us:
         return (start_us, end_us), True
     return ((start_us, last_us), False) if last_us > start_us else (None, False)
+
+
+def _tracking_by_setpoints(
+    entries: Mapping[str, Sequence[Entry]], reference: Reference, start_us: int
+) -> tuple[tuple[int, int] | None, bool]:
+    """Return the tracking phase of a flight by streamed setpoints, and whether it was whole.
+
+    It lasts from the start of the reference to its end, or to the last setpoint of it that was sent.
+    """
+    rows = decoded(entries, topics.REFERENCE, flight_pb2.Reference)
+    last_us = max((message.reference_us for _, message in rows), default=0)
+    end_us = min(last_us, reference.duration_us)
+    return ((start_us, start_us + end_us), last_us >= reference.duration_us) if end_us else (None, False)

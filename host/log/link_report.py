@@ -121,7 +121,7 @@ def _poses(flight: Flight) -> dict[str, Any]:
         oldest_ms = 0.0
         if estimate is not None:
             keep = (estimate.t_us >= start_us) & (estimate.t_us <= end_us)
-            if keep.any():
+            if keep.any() and estimate.mocap_age_s.any():  # another autopilot's estimates have no age
                 ages_ms = estimate.mocap_age_s[keep] * 1e3
                 report["mocap_age_ms_p50"], report["mocap_age_ms_p99"] = np.percentile(
                     ages_ms, (50.0, 99.0)

@@ -15,6 +15,8 @@ from trimtab.protocol.blobs import blob_id
 FORMAT = "1"
 PROVENANCE = "trimtab"
 PARAMETERS = "firmware_parameters"
+AUTOPILOT = "autopilot"
+"""Record of a flight by setpoints streamed to another autopilot, written when the reference begins."""
 HOST_CONTROL = "host_control"
 """Record of a controller on the host, written when it takes over."""
 VEHICLE_FILE = "vehicle.toml"

@@ -28,6 +28,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     77: ("COMMAND_ACK", 143, 10),
     82: ("SET_ATTITUDE_TARGET", 49, 39),
     84: ("SET_POSITION_TARGET_LOCAL_NED", 143, 53),
+    102: ("VISION_POSITION_ESTIMATE", 158, 117),
     110: ("FILE_TRANSFER_PROTOCOL", 84, 254),
     111: ("TIMESYNC", 34, 16),
     117: ("LOG_REQUEST_LIST", 128, 6),

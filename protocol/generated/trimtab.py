@@ -1127,6 +1127,7 @@ MAVLINK_MSG_ID_COMMAND_LONG = 76
 MAVLINK_MSG_ID_COMMAND_ACK = 77
 MAVLINK_MSG_ID_SET_ATTITUDE_TARGET = 82
 MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED = 84
+MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE = 102
 MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL = 110
 MAVLINK_MSG_ID_TIMESYNC = 111
 MAVLINK_MSG_ID_LOG_REQUEST_LIST = 117
@@ -2166,6 +2167,51 @@ class MAVLink_set_position_target_local_ned_message(MAVLink_message):
 # Define name on the class for backwards compatibility (it is now msgname).
 # Done with setattr to hide the class variable from mypy.
 setattr(MAVLink_set_position_target_local_ned_message, "name", mavlink_msg_deprecated_name_property())
+
+
+class MAVLink_vision_position_estimate_message(MAVLink_message):
+    """
+    Pose of an external system, for autopilots that take no
+    ATT_POS_MOCAP. A Trimtab vehicle ignores it.
+    """
+
+    id = MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE
+    msgname = "VISION_POSITION_ESTIMATE"
+    fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
+    ordered_fieldnames = ["usec", "x", "y", "z", "roll", "pitch", "yaw", "covariance", "reset_counter"]
+    fieldtypes = ["uint64_t", "float", "float", "float", "float", "float", "float", "float", "uint8_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"usec": "us", "x": "m", "y": "m", "z": "m", "roll": "rad", "pitch": "rad", "yaw": "rad"}
+    native_format = bytearray(b"<QfffffffB")
+    orders = [0, 1, 2, 3, 4, 5, 6, 7, 8]
+    lengths = [1, 1, 1, 1, 1, 1, 1, 21, 1]
+    array_lengths = [0, 0, 0, 0, 0, 0, 0, 21, 0]
+    crc_extra = 158
+    unpacker = struct.Struct("<Qffffff21fB")
+    instance_field = None
+    instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
+
+    def __init__(self, usec: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), reset_counter: int = 0):
+        self.usec = usec
+        self.x = x
+        self.y = y
+        self.z = z
+        self.roll = roll
+        self.pitch = pitch
+        self.yaw = yaw
+        self.covariance = covariance
+        self.reset_counter = reset_counter
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.usec, self.x, self.y, self.z, self.roll, self.pitch, self.yaw, self.covariance[0], self.covariance[1], self.covariance[2], self.covariance[3], self.covariance[4], self.covariance[5], self.covariance[6], self.covariance[7], self.covariance[8], self.covariance[9], self.covariance[10], self.covariance[11], self.covariance[12], self.covariance[13], self.covariance[14], self.covariance[15], self.covariance[16], self.covariance[17], self.covariance[18], self.covariance[19], self.covariance[20], self.reset_counter), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_vision_position_estimate_message, "name", mavlink_msg_deprecated_name_property())
 
 
 class MAVLink_file_transfer_protocol_message(MAVLink_message):
@@ -3345,6 +3391,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_COMMAND_ACK: MAVLink_command_ack_message,
     MAVLINK_MSG_ID_SET_ATTITUDE_TARGET: MAVLink_set_attitude_target_message,
     MAVLINK_MSG_ID_SET_POSITION_TARGET_LOCAL_NED: MAVLink_set_position_target_local_ned_message,
+    MAVLINK_MSG_ID_VISION_POSITION_ESTIMATE: MAVLink_vision_position_estimate_message,
     MAVLINK_MSG_ID_FILE_TRANSFER_PROTOCOL: MAVLink_file_transfer_protocol_message,
     MAVLINK_MSG_ID_TIMESYNC: MAVLink_timesync_message,
     MAVLINK_MSG_ID_LOG_REQUEST_LIST: MAVLink_log_request_list_message,
@@ -4487,6 +4534,42 @@ class MAVLink(object):
 
         """
         self.send(self.set_position_target_local_ned_encode(time_boot_ms, target_system, target_component, coordinate_frame, type_mask, x, y, z, vx, vy, vz, afx, afy, afz, yaw, yaw_rate), force_mavlink1=force_mavlink1)
+
+    def vision_position_estimate_encode(self, usec: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), reset_counter: int = 0) -> MAVLink_vision_position_estimate_message:
+        """
+        Pose of an external system, for autopilots that take no ATT_POS_MOCAP.
+        A Trimtab vehicle ignores it.
+
+        usec                      : Timestamp (UNIX time or time since system boot). [us] (type:uint64_t)
+        x                         : Local X position. [m] (type:float)
+        y                         : Local Y position. [m] (type:float)
+        z                         : Local Z position. [m] (type:float)
+        roll                      : Roll angle. [rad] (type:float)
+        pitch                     : Pitch angle. [rad] (type:float)
+        yaw                       : Yaw angle. [rad] (type:float)
+        covariance                : Upper right triangle of the pose covariance by rows. (type:float)
+        reset_counter             : Estimate reset counter. (type:uint8_t)
+
+        """
+        return MAVLink_vision_position_estimate_message(usec, x, y, z, roll, pitch, yaw, covariance, reset_counter)
+
+    def vision_position_estimate_send(self, usec: int, x: float, y: float, z: float, roll: float, pitch: float, yaw: float, covariance: Sequence[float] = (0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0), reset_counter: int = 0, force_mavlink1: bool = False) -> None:
+        """
+        Pose of an external system, for autopilots that take no ATT_POS_MOCAP.
+        A Trimtab vehicle ignores it.
+
+        usec                      : Timestamp (UNIX time or time since system boot). [us] (type:uint64_t)
+        x                         : Local X position. [m] (type:float)
+        y                         : Local Y position. [m] (type:float)
+        z                         : Local Z position. [m] (type:float)
+        roll                      : Roll angle. [rad] (type:float)
+        pitch                     : Pitch angle. [rad] (type:float)
+        yaw                       : Yaw angle. [rad] (type:float)
+        covariance                : Upper right triangle of the pose covariance by rows. (type:float)
+        reset_counter             : Estimate reset counter. (type:uint8_t)
+
+        """
+        self.send(self.vision_position_estimate_encode(usec, x, y, z, roll, pitch, yaw, covariance, reset_counter), force_mavlink1=force_mavlink1)
 
     def file_transfer_protocol_encode(self, target_network: int, target_system: int, target_component: int, payload: Sequence[int]) -> MAVLink_file_transfer_protocol_message:
         """

@@ -17,7 +17,7 @@ from trimtab.protocol.uwb_pieces import FRAME_BYTES
 
 OVERHEAD = 12
 STANDARD = sorted(number for number in MESSAGES if number < 52100)
-UNSENT = {"ATT_POS_MOCAP": 84}
+UNSENT = {"ATT_POS_MOCAP": 84, "VISION_POSITION_ESTIMATE": 85}
 NEWER = {"SERIAL_CONTROL": ["target_system", "target_component"]}
 """Extension fields (uint8_t) that MAVSDK sends and the installed pymavlink does not know yet."""
 SPLIT = {"FILE_TRANSFER_PROTOCOL", "ODOMETRY"}

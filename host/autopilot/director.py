@@ -1,0 +1,217 @@
+"""Director of a flight of another autopilot: one script from the first message to the landing, without I/O.
+
+Its steps: find the autopilot; compare clocks; forward the cameras' poses; check; ask a person; choose the
+mode; arm; fly (`StreamedFlight`). Nothing is armed before the last check. The log begins when the autopilot
+acknowledges arming.
+"""
+
+from __future__ import annotations
+
+import contextlib
+from collections.abc import Callable, Generator, Sequence
+from typing import Any
+
+from trimtab.host.autopilot.checks import check_fence
+from trimtab.host.autopilot.flight import Stage, StreamedFlight
+from trimtab.host.autopilot.recorder import StreamRecorder
+from trimtab.host.autopilot.situation import Situation
+from trimtab.host.autopilot.tasks import (
+    AwaitReady,
+    ChooseMode,
+    Confirm,
+    FindAutopilot,
+    Streaming,
+    confirmation_lines,
+)
+from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, LinkError, Refused, UsageError
+from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.flight import ARM_PATIENCE_US, ON_REQUEST
+from trimtab.host.link.flight_request import FlightEnd, FlightRequest
+from trimtab.host.link.flight_tasks import AwaitPoses, Interrupted
+from trimtab.host.link.session import Session
+from trimtab.host.link.tasks import Command, SettleClock, Task
+from trimtab.host.log import LogError, LogWriter, Provenance
+from trimtab.protocol import messages as m
+from trimtab.protocol.messages import Message, mavlink
+
+POSE_US = 18_000
+"""Least interval of forwarded poses. PX4's filter takes at most 50 a second without trouble."""
+
+
+class StreamDirector:
+    """Flies one request through `session`, which a driver steps. Always call `close` at the end.
+
+    The attributes are those of `trimtab.host.link.flight.FlightDirector`.
+    """
+
+    def __init__(
+        self,
+        request: FlightRequest,
+        on_phase: Callable[[str], None] | None = None,
+    ) -> None:
+        nodes = request.reference.nodes_ned()
+        if request.reference.free_ends:
+            raise UsageError(
+                f"the reference {request.reference.id} does not start at rest; plan it from rest"
+            )
+        check_fence(request.reference, request.vehicle)
+        self.session = Session(
+            self._script, CameraClock(request.camera_delay_us), request.key, forward=self._forward
+        )
+        self.phase = "connecting"
+        self.end: FlightEnd | None = None
+        self.log_open = False
+        self.interrupted = False
+        kind = request.autopilot
+        assert kind is not None
+        self._request, self._kind = request, kind
+        self._highest_m = -min(node.state[2] for node in nodes)
+        self._on_phase = on_phase
+        self._situation = Situation(kind)
+        self._pose_us: int | None = None
+        self._log: LogWriter | None = None
+        self._recorder: StreamRecorder | None = None
+        self._flight = StreamedFlight(
+            self._situation,
+            request.reference,
+            request.vehicle,
+            on_stage=self._on_stage,
+            on_reference=self._on_reference,
+        )
+
+    def interrupt(self) -> None:
+        """End the flight. A flying vehicle lands first; a second call ends the session immediately."""
+        at_once = self.interrupted or self._recorder is None or self._flight.stage is Stage.RELEASED
+        self.interrupted = True
+        self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
+
+    def abandon(self, error: BaseException) -> None:
+        """Write the error to the log and close it."""
+        with contextlib.suppress(LogError):  # the caller raises `error`, which matters more
+            if self._recorder is not None:
+                now_us = self.session.now_us
+                self._recorder.record_text(f"ended by {type(error).__name__}: {error}", now_us)
+            self.close()
+
+    def close(self) -> None:
+        """Close the log. Raises LogError if its end cannot be written."""
+        if self._log is not None:
+            self.session.listener = None
+            self._log.close()
+
+    # The script.
+
+    def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
+        request, situation, flight = self._request, self._situation, self._flight
+        yield FindAutopilot(situation, request.port)
+        self._note("checking")
+        yield SettleClock()
+        yield AwaitPoses(session, request.cameras)
+        yield AwaitReady(situation, request.reference, request.vehicle)
+        if request.ask is not None:
+            self._note("waiting for confirmation")
+            height_m = self._highest_m + (0.0 if situation.pose is None else situation.pose.p_ned[2])
+            lines = confirmation_lines(self._kind, request.port, request.vehicle, request.reference, height_m)
+            yield Confirm(situation, request.ask, lines)
+            yield AwaitReady(situation, request.reference, request.vehicle)
+        self._note("arming")
+        yield self._streaming(ChooseMode(situation))
+        yield from self._arm()
+        self._open_log(session.now_us)
+        failure: Exception | None = None
+        while True:
+            try:
+                if failure is None and not self.interrupted and self._kind.takes_off:
+                    yield from self._take_off()
+                yield flight
+                break
+            except SESSION_ERRORS:
+                raise
+            except Interrupted:
+                self._note(ON_REQUEST)
+            except Exception as error:  # land the vehicle before any error of the host is raised
+                if failure is not None:
+                    raise
+                failure = error
+                session.listener = None
+                self.log_open = self.log_open and not isinstance(error, LogError)
+                self._note("landing, the log cannot be written" if isinstance(error, LogError) else "landing")
+            flight.land()
+        self._note("landed")
+        self.end = FlightEnd(
+            whole=flight.finished and flight.doubt is None and not self.interrupted,
+            failsafe=None,
+            interrupted=self.interrupted,
+            doubt=flight.doubt,
+        )
+        if failure is not None:
+            raise failure
+        return self.end
+
+    def _streaming(self, task: Task) -> Task:
+        """Return the task, with setpoints beside it if the autopilot wants them before it arms."""
+        return task if self._kind.takes_off else Streaming(task, self._situation)
+
+    def _arm(self) -> Generator[Task, Any, None]:
+        command = Command(
+            mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), what="arm", patience_us=ARM_PATIENCE_US
+        )
+        try:
+            yield self._streaming(command)
+        except Refused as error:
+            raise FlightFailed(str(error)) from error
+
+    def _take_off(self) -> Generator[Task, Any, None]:
+        """Let the autopilot climb to the height of the first node. Disarm it if it refuses."""
+        pose = self._situation.pose
+        height_m = -self._request.reference.nodes_ned()[0].state[2] + (0.0 if pose is None else pose.p_ned[2])
+        try:
+            yield Command(mavlink.MAV_CMD_NAV_TAKEOFF, (*(0.0,) * 6, height_m), what="take off")
+        except (LinkError, Refused) as error:
+            with contextlib.suppress(LinkError, Refused):
+                yield Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, what="disarm")
+            raise FlightFailed(str(error)) from error
+
+    def _open_log(self, now_us: int) -> None:
+        request = self._request
+        provenance = Provenance(
+            vehicle=request.vehicle,
+            reference=request.reference.to_bytes(),
+            model_id=request.model_id,
+            session={**request.session, "arm_host_us": str(now_us), "autopilot": self._kind.name},
+        )
+        self._log = LogWriter(request.log_path, provenance)
+        self.log_open = True
+        self._recorder = StreamRecorder(
+            self._log, self.session.client, self.session.camera, request.reference, now_us
+        )
+        self._recorder.record_text("armed", now_us)
+        self.session.listener = self._recorder
+
+    # What happens in flight.
+
+    def _forward(self, pose: m.AttPosMocap, host_us: int, vehicle_us: int | None) -> Message | None:
+        """Return VISION_POSITION_ESTIMATE, stamped with the host's clock, which the autopilot compares."""
+        seen = self._situation.see(pose, host_us)
+        if self._pose_us is not None and host_us - self._pose_us < POSE_US:
+            return None
+        self._pose_us = host_us
+        return m.VisionPositionEstimate(max(0, host_us), *seen.p_ned, *seen.rpy)
+
+    def _on_stage(self, stage: Stage) -> None:
+        self._note(stage.value)
+        if self._recorder is not None and self.session.listener is not None:
+            now_us = self.session.now_us
+            if stage is Stage.TRACKING:
+                self._recorder.begin(self._kind.name, now_us)
+            self._recorder.record_text(self._flight.words(), now_us)
+
+    def _on_reference(self, acts_us: int, reference_us: int, flat: Sequence[float]) -> None:
+        if self._recorder is not None and self.session.listener is not None:
+            self._recorder.setpoint(acts_us, reference_us, flat, self.session.now_us)
+
+    def _note(self, phase: str) -> None:
+        if phase != self.phase:
+            self.phase = phase
+            if self._on_phase is not None:
+                self._on_phase(phase)

@@ -1,0 +1,284 @@
+"""A flight by streamed setpoints, without I/O: from arming until the autopilot has disarmed.
+
+The vehicle goes to the first node of the reference on a way of its own, follows the reference, holds and
+lands. A setpoint is the reference at the time at which it is expected to act: the uplink's delay, which
+`ClockSync.uplink_us` estimates, after it is sent.
+
+The host keeps watching: poses, link, mode, geofence and tracking error. On any doubt it lands the vehicle. If
+the autopilot has left the mode in which it follows setpoints, a pilot or a failsafe has taken over. Then the
+host sends no more setpoints and no commands.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from enum import Enum
+
+from trimtab.host.autopilot.doubt import DOUBT_WORDS, Doubt
+from trimtab.host.autopilot.setpoints import Course, Setpoint, Vector, Way, setpoint_of
+from trimtab.host.autopilot.situation import Situation
+from trimtab.host.base.errors import LinkError
+from trimtab.host.link.client import Client
+from trimtab.host.link.control_stream import ALIGNED_RAD, NEAR_M, RESTING_US, SLOW_M_S
+from trimtab.host.link.flight_tasks import STRAY_US
+from trimtab.host.link.tasks import RETRY_US, Task, command_message
+from trimtab.host.vehicle import Vehicle
+from trimtab.protocol.blobs import Reference
+from trimtab.protocol.messages import Message
+
+SETPOINT_US = 20_000
+"""Interval of setpoints."""
+APPROACH_M_S = 0.5
+"""Peak speed on the way to the first node."""
+APPROACH_MAX_US = 30_000_000
+"""Longest time from the end of that way to rest at the first node; also for a take-off on board."""
+HOLD_US = 1_000_000
+"""Time at the last node before the host commands the landing."""
+POSES_MAX_US = 300_000
+"""Age of the newest pose above which the host lands the vehicle."""
+SILENT_US = 1_500_000
+"""Silence of the autopilot after which the host commands a landing."""
+GONE_US = 30_000_000
+"""Silence after which the host gives up."""
+FAR_M = 1.0
+"""Distance between pose and reference above which the host lands the vehicle."""
+APART_M = 0.5
+"""Distance between the autopilot's estimate and the pose above which the host lands the vehicle."""
+FENCE_M = 0.3
+"""How far beyond the geofence the vehicle may get: poses are noisy, and the floor is part of it."""
+
+
+class Stage(Enum):
+    """Stages of a flight. In all but LANDING and RELEASED setpoints are streamed."""
+
+    TAKEOFF = "take-off"
+    APPROACH = "to the start"
+    TRACKING = "tracking"
+    HOLD = "hold"
+    LANDING = "landing"
+    RELEASED = "released"
+
+
+class StreamedFlight(Task):
+    """Flies the reference once the autopilot is armed in the mode in which it follows setpoints.
+
+    The task ends when the autopilot has disarmed. It may be begun again after an interruption: it goes on
+    where it was. Raises LinkError after a long silence.
+
+    Parameters
+    ----------
+    situation
+        Newest state of autopilot and cameras. Others keep its pose up to date.
+    on_stage
+        Called with every new stage.
+    on_reference
+        Called with every setpoint of the reference: the host's time at which it is to act, the time since
+        the start of the reference (us) and the flat outputs (14).
+
+    Attributes
+    ----------
+    doubt
+        Why the host ended the flight early; None otherwise.
+    finished
+        Whether the reference was flown to its end.
+    stage
+        The present stage.
+    """
+
+    wants = Situation.wants
+
+    def __init__(
+        self,
+        situation: Situation,
+        reference: Reference,
+        vehicle: Vehicle,
+        *,
+        on_stage: Callable[[Stage], None],
+        on_reference: Callable[[int, int, Sequence[float]], None],
+    ) -> None:
+        super().__init__()
+        self.doubt: Doubt | None = None
+        self.finished = False
+        self.stage = Stage.TAKEOFF if situation.kind.takes_off else Stage.APPROACH
+        self._situation = situation
+        self._course = Course(reference)
+        self._first = self._course.at(0).at_rest()
+        self._fence = vehicle.limits.geofence_m
+        self._on_stage, self._on_reference = on_stage, on_reference
+        self._way: Way | None = None
+        self._target = self._first
+        self._begun = self._was_armed = False
+        self._began_us = self._start_us = self._next_us = self._command_us = 0
+        self._rest_us: int | None = None
+
+    def land(self) -> None:
+        """Land, unless a pilot or a failsafe has the vehicle."""
+        if self.stage not in (Stage.LANDING, Stage.RELEASED):
+            self._target = self._target.at_rest()
+            self._enter(Stage.LANDING)
+
+    def words(self) -> str:
+        """Return the stage, and the doubt if there is one, for the log."""
+        return self.stage.value if self.doubt is None else f"{self.stage.value}: {DOUBT_WORDS[self.doubt]}"
+
+    def begin(self, client: Client, now_us: int) -> None:
+        """Start at the present pose, or go on."""
+        self.deadline_us = self._next_us = self._command_us = now_us
+        if self._begun:
+            return
+        self._begun = True
+        self._began_us = now_us
+        self._on_stage(self.stage)
+        pose = self._situation.pose
+        if self.stage is Stage.APPROACH and pose is not None:
+            self._target = Setpoint(pose.p_ned, yaw=pose.yaw)  # until its heartbeat shows that it is armed
+
+    def receive(self, client: Client, message: Message, now_us: int) -> None:
+        """Take a message of the autopilot."""
+        situation = self._situation
+        situation.receive(message, now_us)
+        if situation.heartbeat_us != now_us:
+            return
+        self._was_armed |= situation.armed
+        if not situation.armed and (self._was_armed or now_us - self._began_us > STRAY_US):
+            self.finish()
+
+    def advance(self, client: Client, now_us: int) -> None:
+        """Send what is due."""
+        heard_us = self._began_us if client.heard_us is None else client.heard_us
+        if now_us - heard_us >= GONE_US:
+            raise LinkError(
+                f"the autopilot has been silent for {GONE_US / 1e6:g} s; its own failsafe has it, check on it"
+            )
+        if self.stage not in (Stage.LANDING, Stage.RELEASED):
+            self._watch(client, now_us)
+        self._move_on(now_us)
+        if self.stage is Stage.LANDING:
+            self._command_landing(client, now_us)
+        elif self.stage is not Stage.RELEASED:
+            self._stream(client, now_us)
+        self._next_us += SETPOINT_US * (1 + (now_us - self._next_us) // SETPOINT_US)
+        self.deadline_us = self._next_us
+
+    # Stages.
+
+    def _enter(self, stage: Stage) -> None:
+        self.stage = stage
+        self._on_stage(stage)
+
+    def _approach(self, now_us: int) -> None:
+        """Begin the way to the first node: straight up from the present pose, then across."""
+        pose = self._situation.pose
+        assert pose is not None  # checked before arming, and watched since
+        above: Vector = (pose.p_ned[0], pose.p_ned[1], self._first.p[2])
+        corners = (pose.p_ned, above, self._first.p)
+        self._way = Way(corners, pose.yaw, self._first.yaw, speed_m_s=APPROACH_M_S)
+        self._start_us = now_us
+        if self.stage is not Stage.APPROACH:
+            self._enter(Stage.APPROACH)
+
+    def _move_on(self, now_us: int) -> None:
+        """Go to the next stage when the present one has ended."""
+        since_us = now_us - self._start_us
+        if self.stage is Stage.TAKEOFF:
+            pose = self._situation.pose
+            if pose is not None and abs(pose.p_ned[2] - self._first.p[2]) < NEAR_M:
+                self._approach(now_us)
+            elif now_us - self._began_us >= APPROACH_MAX_US:
+                self._end(Doubt.START_MISSED)
+        elif self.stage is Stage.APPROACH and self._way is None:
+            if self._situation.armed:
+                self._approach(now_us)
+        elif self.stage is Stage.APPROACH and self._way is not None and since_us >= self._way.duration_us:
+            if self._rests_at_start(now_us):
+                self._start_us = now_us
+                self._enter(Stage.TRACKING)
+            elif since_us >= self._way.duration_us + APPROACH_MAX_US:
+                self._end(Doubt.START_MISSED)
+        elif self.stage is Stage.TRACKING and since_us >= self._course.duration_us:
+            self.finished = True
+            self._enter(Stage.HOLD)
+        elif self.stage is Stage.HOLD and since_us >= self._course.duration_us + HOLD_US:
+            self.land()
+
+    def _rests_at_start(self, now_us: int) -> bool:
+        """Return whether the vehicle has rested at the first node for RESTING_US."""
+        pose, position = self._situation.pose, self._situation.position
+        if pose is None or position is None:
+            return False
+        slow = math.hypot(position.vx, position.vy, position.vz) < SLOW_M_S
+        turn = math.remainder(pose.yaw - self._first.yaw, 2.0 * math.pi)
+        if not (slow and math.dist(pose.p_ned, self._first.p) < NEAR_M and abs(turn) < ALIGNED_RAD):
+            self._rest_us = None
+            return False
+        if self._rest_us is None:
+            self._rest_us = now_us
+        return now_us - self._rest_us >= RESTING_US
+
+    # Doubts.
+
+    def _end(self, doubt: Doubt) -> None:
+        """End the flight: land, or leave the vehicle to whoever has it."""
+        self.doubt = doubt
+        if doubt is Doubt.LEFT_MODE:
+            self._enter(Stage.RELEASED)
+        else:
+            self.land()
+
+    def _watch(self, client: Client, now_us: int) -> None:
+        """End the flight on the first doubt."""
+        situation, pose = self._situation, self._situation.pose
+        heard_us = self._began_us if client.heard_us is None else client.heard_us
+        if not situation.streamed:
+            self._end(Doubt.LEFT_MODE)
+        elif pose is None or situation.pose_age_us(now_us) > POSES_MAX_US:
+            self._end(Doubt.POSES_STOPPED)
+        elif now_us - heard_us > SILENT_US:
+            self._end(Doubt.LINK_SILENT)
+        elif not all(
+            low - FENCE_M <= x <= high + FENCE_M
+            for x, (low, high) in zip(pose.p_ned, self._fence, strict=True)
+        ):
+            self._end(Doubt.LEFT_FENCE)
+        elif math.dist(pose.p_ned, self._expected(pose.t_us)) > FAR_M:
+            self._end(Doubt.FAR_OFF)
+        elif (apart := situation.disagreement()) is not None and not apart[0] <= APART_M:
+            self._end(Doubt.ESTIMATE_WRONG)
+
+    def _expected(self, t_us: int) -> Vector:
+        """Return where the vehicle should be at the host's time `t_us`."""
+        if self.stage in (Stage.TRACKING, Stage.HOLD):
+            return self._course.at(t_us - self._start_us).p
+        pose = self._situation.pose
+        if self._way is None or pose is None:
+            return self._first.p if pose is None else pose.p_ned
+        return self._way.at(t_us - self._start_us).p
+
+    # Messages.
+
+    def _stream(self, client: Client, now_us: int) -> None:
+        """Send the setpoint that is to act when it arrives."""
+        acts_us = now_us + round(client.clock.uplink_us)
+        since_us = acts_us - self._start_us
+        if self.stage is Stage.TAKEOFF:
+            return  # the autopilot climbs by itself
+        if self.stage is Stage.APPROACH:
+            if self._way is not None:
+                self._target = self._way.at(since_us)
+        else:
+            flat = self._course.flat_at(since_us)
+            self._target = setpoint_of(flat)
+            if since_us <= self._course.duration_us + SETPOINT_US:
+                self._on_reference(acts_us, min(since_us, self._course.duration_us), flat)
+        client.send(self._target.message(now_us))
+
+    def _command_landing(self, client: Client, now_us: int) -> None:
+        """Command the landing until the mode shows it, and hold until then; obey a pilot's mode."""
+        if not self._situation.streamed:
+            return
+        client.send(self._target.message(now_us))
+        if now_us >= self._command_us:
+            self._command_us = now_us + RETRY_US
+            number, parameters = self._situation.kind.land
+            client.send(command_message(number, parameters))
