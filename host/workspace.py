@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 
 if TYPE_CHECKING:
@@ -126,7 +127,7 @@ def make_workspace(root: Path) -> list[Path]:
                 made.append(folder)
         for path, text in ((root / "README.md", _README), (root / "routes" / "square.toml", _ROUTE)):
             if not path.exists():
-                path.write_text(text, encoding="utf-8")
+                write_atomic(path, text)
                 made.append(path)
     except OSError as error:
         place = error.filename or root

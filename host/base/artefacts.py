@@ -10,6 +10,7 @@ import os
 import shlex
 import subprocess
 import sys
+import tempfile
 from collections.abc import Iterator, Mapping, Sequence
 from importlib import metadata
 from pathlib import Path
@@ -94,6 +95,18 @@ def check_folder(path: str | Path, names: Sequence[str], force: bool = False) ->
     return folder
 
 
+def check_new_folder(path: str | Path) -> Path:
+    """Check that the folder `path` can be made, and return it. Call this before the work starts.
+
+    Raises UsageError if the folder above it is missing or read-only, or if anything has its name.
+    """
+    target = Path(path)
+    _check_parent(target)
+    if target.exists():  # nobody checks what a folder holds, so none is ever replaced
+        raise UsageError(f"{path}: exists; choose another name")
+    return target
+
+
 def _check_parent(path: Path) -> None:
     """Raise UsageError if the folder of `path` does not exist or cannot be written to."""
     if not path.parent.is_dir():
@@ -127,6 +140,20 @@ def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
         if isinstance(error, OSError) and (error.errno in NO_ROOM or error.filename == str(partial)):
             error.filename = str(target)  # write() gives no name, open() that of the temporary file
         raise
+
+
+@contextlib.contextmanager
+def folder_atomic(path: str | Path) -> Iterator[Path]:
+    """Yield a path for the block to make a folder at, which appears as `path` when the block ends.
+
+    Its last part is that of `path`. After an error nothing remains. Raises UsageError like
+    `check_new_folder`.
+    """
+    target = check_new_folder(path)
+    with tempfile.TemporaryDirectory(prefix=f".{target.name}-", dir=target.parent) as temporary:
+        yield Path(temporary) / target.name
+        check_new_folder(target)
+        os.rename(Path(temporary) / target.name, target)
 
 
 def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:

@@ -130,8 +130,8 @@ def _moved(
     """Return edges between which the errors have more equal shares: closer where they are large."""
     piece = np.clip(np.searchsorted(edges, t_s, side="right") - 1, 0, len(edges) - 2)
     worst = np.array([off[piece == k].max(initial=0.0) for k in range(len(edges) - 1)])
-    density = (worst + _EVEN * worst.max() + 1e-9) ** _PULL / np.diff(edges)
-    share = np.concatenate([[0.0], np.cumsum(density * np.diff(edges))])
+    weights = (worst + _EVEN * worst.max() + 1e-9) ** _PULL
+    share = np.concatenate([[0.0], np.cumsum(weights)])
     return np.interp(np.linspace(0.0, share[-1], len(edges)), share, edges)
 
 

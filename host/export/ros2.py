@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.artefacts import folder_atomic
 from trimtab.host.base.extras import optional
 from trimtab.host.export.samples import at_rate
 from trimtab.protocol.blobs import Reference
@@ -24,9 +25,9 @@ _VERSION = 9
 
 
 def write_bag(reference: Reference, rate_hz: float, folder: Path) -> int:
-    """Write a bag in the MCAP format as a new folder and return its number of setpoints.
+    """Write a bag in the MCAP format as a new folder, whole or not at all. Return its number of setpoints.
 
-    Message times begin at 0. Raises UsageError without the package rosbags.
+    Message times begin at 0. Raises UsageError without the package rosbags, or if the folder cannot be made.
     """
     rosbag2, typesys = optional("rosbags.rosbag2", "logs"), optional("rosbags.typesys", "logs")
     store = typesys.get_typestore(typesys.Stores.ROS2_HUMBLE)
@@ -41,22 +42,23 @@ def write_bag(reference: Reference, rate_hz: float, folder: Path) -> int:
         return made(f"geometry_msgs/msg/{kind}", **dict(zip("xyz", values.tolist(), strict=True)))
 
     still = vector("Vector3", np.zeros(3))
-    writer = rosbag2.Writer(folder, version=_VERSION, storage_plugin=rosbag2.StoragePlugin.MCAP)
-    with writer:
-        connections = [writer.add_connection(*topic, typestore=store) for topic in TOPICS.items()]
-        for k, t_ns in enumerate(times_ns):
-            stamp = made("builtin_interfaces/msg/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9)
-            header = made("std_msgs/msg/Header", stamp=stamp, frame_id="map")
-            half = 0.5 * float(yaw[k])
-            turn = made(
-                "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half))
-            )
-            pose = made("geometry_msgs/msg/Pose", position=vector("Point", p[k]), orientation=turn)
-            spin = vector("Vector3", np.array([0.0, 0.0, -held.yaw_rate[k]]))
-            twist = made("geometry_msgs/msg/Twist", linear=vector("Vector3", v[k]), angular=spin)
-            accel = made("geometry_msgs/msg/Accel", linear=vector("Vector3", a[k]), angular=still)
-            bodies = ({"pose": pose}, {"twist": twist}, {"accel": accel})
-            for connection, kind, body in zip(connections, TOPICS.values(), bodies, strict=True):
-                message = made(kind, header=header, **body)
-                writer.write(connection, t_ns, store.serialize_cdr(message, kind))
+    with folder_atomic(folder) as partial:
+        writer = rosbag2.Writer(partial, version=_VERSION, storage_plugin=rosbag2.StoragePlugin.MCAP)
+        with writer:
+            connections = [writer.add_connection(*topic, typestore=store) for topic in TOPICS.items()]
+            for k, t_ns in enumerate(times_ns):
+                stamp = made("builtin_interfaces/msg/Time", sec=t_ns // 10**9, nanosec=t_ns % 10**9)
+                header = made("std_msgs/msg/Header", stamp=stamp, frame_id="map")
+                half = 0.5 * float(yaw[k])
+                turn = made(
+                    "geometry_msgs/msg/Quaternion", x=0.0, y=0.0, z=float(np.sin(half)), w=float(np.cos(half))
+                )
+                pose = made("geometry_msgs/msg/Pose", position=vector("Point", p[k]), orientation=turn)
+                spin = vector("Vector3", np.array([0.0, 0.0, -held.yaw_rate[k]]))
+                twist = made("geometry_msgs/msg/Twist", linear=vector("Vector3", v[k]), angular=spin)
+                accel = made("geometry_msgs/msg/Accel", linear=vector("Vector3", a[k]), angular=still)
+                bodies = ({"pose": pose}, {"twist": twist}, {"accel": accel})
+                for connection, kind, body in zip(connections, TOPICS.values(), bodies, strict=True):
+                    message = made(kind, header=header, **body)
+                    writer.write(connection, t_ns, store.serialize_cdr(message, kind))
     return len(times_ns)

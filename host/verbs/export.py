@@ -62,8 +62,6 @@ def command(
     if format == "ros2":
         from trimtab.host.export.ros2 import TOPICS, write_bag
 
-        if target.exists():  # a bag is a folder, whose content nobody checks
-            raise UsageError(f"{target}: exists already; choose another name")
         count = write_bag(blob, rate, target)
         say(f"{target}: {count} setpoints on {', '.join(TOPICS)}")
         emit({**facts, "samples": count}, json)

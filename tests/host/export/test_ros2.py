@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from tests.host.export.test_tables import REFERENCE
+from trimtab.host.base.errors import UsageError
 from trimtab.host.export.ros2 import TOPICS, write_bag
 from trimtab.host.export.samples import at_rate
 
@@ -39,3 +40,26 @@ def test_bag_holds_the_reference_in_enu(tmp_path: Path) -> None:
     np.testing.assert_allclose([each.angular.z for each in twist], -held.yaw_rate)
     accel = [message.accel.linear.y for message in read["/setpoint/acceleration"]]
     np.testing.assert_allclose(accel, held.a_ned[:, 0])
+
+
+def test_bag_that_cannot_be_written_leaves_nothing(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    from rosbags.typesys.store import Typestore
+
+    def interrupted(*_: object) -> bytes:
+        raise KeyboardInterrupt
+
+    with pytest.raises(UsageError, match="nowhere/bag: its folder does not exist"):
+        write_bag(REFERENCE, 20.0, tmp_path / "nowhere" / "bag")
+    monkeypatch.setattr(Typestore, "serialize_cdr", interrupted)
+    with pytest.raises(KeyboardInterrupt):
+        write_bag(REFERENCE, 20.0, tmp_path / "bag")
+    assert list(tmp_path.iterdir()) == []
+    (tmp_path / "bag").mkdir()
+    with pytest.raises(UsageError, match="bag: exists; choose another name"):
+        write_bag(REFERENCE, 20.0, tmp_path / "bag")
+
+
+def test_bag_names_its_file_as_its_folder(tmp_path: Path) -> None:
+    write_bag(REFERENCE, 20.0, tmp_path / "bag")
+    assert sorted(path.name for path in (tmp_path / "bag").iterdir()) == ["bag.mcap", "metadata.yaml"]
+    assert [path.name for path in tmp_path.iterdir()] == ["bag"]
