@@ -17,7 +17,7 @@ from typing import Any, Literal
 from trimtab.host.base.artefacts import content_id, public_command, record_path
 from trimtab.host.base.errors import UsageError
 from trimtab.host.log.heading import read_heading
-from trimtab.host.log.provenance import HOST_CONTROL, PROVENANCE
+from trimtab.host.log.provenance import HOST_CONTROL, PROVENANCE, Origin, origin_of
 from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.route.files import list_routes, parse_route
 from trimtab.host.vehicle import list_vehicles
@@ -26,7 +26,6 @@ from trimtab.protocol.blob_fields import kind_of, unpack_header
 from trimtab.protocol.blobs import BlobError, Kind, blob_id, least_bytes
 
 ArtefactKind = Literal["vehicle", "route", "reference", "feed-forward", "log", "model", "report"]
-Origin = Literal["simulated", "port", "imported"]
 
 SEALED_SUFFIX = ".truth.json"
 """Truth of a simulated world. It is never opened."""
@@ -98,13 +97,7 @@ def _log(path: Path) -> Artefact:
     if model := control.get("model_id"):
         parents["model of the controller"] = model
     command = _public(entries.get("command"))
-    imported = entries.get("kind") == "imported"
-    port = None if imported or command is None else _option(command, "--port")
-    origin: Origin | None = "port" if port is not None else "simulated"
-    if imported:
-        origin = "imported"
-    elif command is None:
-        origin = None
+    origin = origin_of(entries)
     return Artefact(
         path=path,
         name=path.name,
@@ -113,8 +106,8 @@ def _log(path: Path) -> Artefact:
         parents=parents,
         command=command,
         origin=origin,
-        port=port,
-        date=_date(entries.get("epoch_us")) if imported else None,
+        port=None if command is None or origin != "port" else _option(command, "--port"),
+        date=_date(entries.get("epoch_us")) if origin == "imported" else None,
     )
 
 

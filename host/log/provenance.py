@@ -5,12 +5,15 @@ from __future__ import annotations
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
 from trimtab.host.base.artefacts import without_options
 from trimtab.host.base.text import readable
 from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import blob_id
+
+Origin = Literal["simulated", "port", "imported"]
 
 FORMAT = "1"
 PROVENANCE = "trimtab"
@@ -69,16 +72,23 @@ _SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
 """Verbs that fly a simulated vehicle unless they are given a port."""
 
 
-def is_simulated(metadata: Mapping[str, str]) -> bool | None:
-    """Return whether the vehicle of a log was simulated; None where its `trimtab` record does not tell.
+def origin_of(metadata: Mapping[str, str]) -> Origin | None:
+    """Return where the flight of a log was flown; None where its `trimtab` record does not tell.
 
-    A command without a port flew a simulated vehicle. A vehicle at a port and one of an import may be
-    either.
+    A command without a port flew a simulated vehicle. The vehicle at a port may be simulated or real.
     """
+    kind = metadata.get("kind")
+    if kind == "imported":
+        return "imported"
     try:
         words = shlex.split(metadata.get("command", ""))[1:]
     except ValueError:
         return None
-    if metadata.get("kind") != "flight" or words[:1] == [] or words[0] not in _SIMULATING_VERBS:
+    if kind != "flight" or words[:1] == [] or words[0] not in _SIMULATING_VERBS:
         return None
-    return True if without_options(words, ("--port",)) == words else None
+    return "simulated" if without_options(words, ("--port",)) == words else "port"
+
+
+def is_simulated(metadata: Mapping[str, str]) -> bool | None:
+    """Return True if the vehicle of a log was simulated; None where that is not known."""
+    return True if origin_of(metadata) == "simulated" else None

@@ -137,9 +137,12 @@ def test_sealed_options_and_files_stay_sealed(folder: Path) -> None:
         ("trimtab fly hop.ref --port ttyACM0", "port", "ttyACM0"),
         ("trimtab fly hop.ref --port=udp:1.2.3.4:5", "port", "udp:1.2.3.4:5"),
         ("trimtab fly hop.ref", "simulated", None),
+        ("somebody's own script", None, None),
     ],
 )
-def test_log_says_where_it_was_flown(tmp_path: Path, command: str, origin: str, port: str | None) -> None:
+def test_log_says_where_it_was_flown(
+    tmp_path: Path, command: str, origin: str | None, port: str | None
+) -> None:
     from trimtab.host.log import FLIGHT_TOPICS, LogWriter, Provenance
 
     provenance = Provenance(vehicle=VEHICLE, session={"command": command})
