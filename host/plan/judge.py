@@ -132,7 +132,7 @@ def measure(vehicle: Vehicle, model: ResidualModel, table: Table, yaws: Sequence
     )
 
 
-def _keep_out(table: Table, shapes: Sequence[Shape], clearance_m: float = 0.0) -> tuple[float, str]:
+def _keep_out(table: Table, shapes: Sequence[Shape], clearance_m: float) -> tuple[float, str]:
     """Return the least distance from the shapes, and a message that says where it is."""
     times_us = sample_times(table)
     p = evaluate(table, times_us)[0]
@@ -154,7 +154,7 @@ def obstacle_margins(table: Table, keep_out: Sequence[Shape], gates: Sequence[Pa
     """Return the least distances of a table from keep-out shapes and inside gates, m, where it has any."""
     margins = {}
     if keep_out:
-        margins[KEEP_OUT] = _keep_out(table, keep_out)[0]
+        margins[KEEP_OUT] = _keep_out(table, keep_out, 0.0)[0]
     if gates:
         margins[GATES] = float(inside_gates(table, gates).min())
     return margins
@@ -178,9 +178,11 @@ def _gates(table: Table, gates: Sequence[Passing], clearance_m: float) -> tuple[
     k = int(inside.argmin())
     t_us = gates[k].t_us
     node = int(np.searchsorted(table.times_us, t_us, side="right")) - 1
-    return float(
-        inside[k]
-    ), f"node {node} at {t_us * 1e-6:.3f} s: {-inside[k]:.3g} m outside gates[{k}]{_grown(clearance_m)}"
+    least = float(inside[k])
+    return (
+        least,
+        f"node {node} at {t_us * 1e-6:.3f} s: {-least:.3g} m outside gates[{k}]{_grown(clearance_m)}",
+    )
 
 
 def _turning(table: Table, yaws: Sequence[YawNode], bound: float) -> tuple[float, str]:
