@@ -288,30 +288,22 @@ def _maybe_mapped(valid: bytes) -> Callable[[Random, bytes], Input]:
     return lambda rng, seed: with_map(rng, seed) if rng.random() < 0.125 else _bytes(rng, seed)
 
 
+def _bag_reader(kind: str, file: str) -> Reader:
+    return Reader(
+        format="rosbag",
+        file=file,
+        seeds=lambda: _bags(kind),
+        make=_maybe_mapped(TOPIC_MAP),
+        library="rosbags",
+    )
+
+
 READERS: dict[str, Reader] = {
     "ulog": Reader(format="ulog", file="a.ulg", seeds=_ulogs, make=_bytes, library="pyulog"),
     "dataflash": Reader(format="dataflash", file="a.bin", seeds=_dataflashes, make=_bytes),
-    "bag": Reader(
-        format="rosbag",
-        file="a.bag",
-        seeds=lambda: _bags("ros1"),
-        make=_maybe_mapped(TOPIC_MAP),
-        library="rosbags",
-    ),
-    "db3": Reader(
-        format="rosbag",
-        file="a.db3",
-        seeds=lambda: _bags("sqlite3"),
-        make=_maybe_mapped(TOPIC_MAP),
-        library="rosbags",
-    ),
-    "mcap": Reader(
-        format="rosbag",
-        file="a.mcap",
-        seeds=lambda: _bags("mcap"),
-        make=_maybe_mapped(TOPIC_MAP),
-        library="rosbags",
-    ),
+    "bag": _bag_reader("ros1", "a.bag"),
+    "db3": _bag_reader("sqlite3", "a.db3"),
+    "mcap": _bag_reader("mcap", "a.mcap"),
     "betaflight": Reader(format="betaflight", file="a.bbl", seeds=_blackbox, make=_bytes),
     "crazyflie-usd": Reader(format="crazyflie-usd", file="log07", seeds=_usds, make=_summed),
     "nanobench": Reader(
