@@ -70,16 +70,22 @@ def reference_at(reference: Reference, t_us: Annotated[Times, "times"]) -> Annot
     return ReferencePath(reference).at(t_us)
 
 
+def within(
+    times_us: Annotated[Times, "times"], interval_us: tuple[int, int]
+) -> Annotated[np.ndarray, "times"]:
+    """Return whether each time is in the interval, ends included, as in `Flight.tracking`."""
+    return (times_us >= interval_us[0]) & (times_us <= interval_us[1])
+
+
 def tracking_errors_ned(flight: Flight, *, pose_age_s: float = 0.0) -> Annotated[Floats, "poses 3"] | None:
     """Return pose minus reference, m, whose norm `tracking_error` sums up; None where it has no figures."""
     if flight.reference is None or flight.tracking is None or flight.mocap is None:
         return None
-    start_us, end_us = flight.tracking
     t_us = flight.mocap.t_us - round(1e6 * pose_age_s)
-    keep = (t_us >= start_us) & (t_us <= end_us)
+    keep = within(t_us, flight.tracking)
     if not keep.any():
         return None
-    return flight.mocap.p[keep] - reference_at(flight.reference, t_us[keep] - start_us)[:, :3]
+    return flight.mocap.p[keep] - reference_at(flight.reference, t_us[keep] - flight.tracking[0])[:, :3]
 
 
 def tracking_error(flight: Flight, *, pose_age_s: float = 0.0) -> TrackingError | None:

@@ -10,6 +10,16 @@ from jinja2 import Environment, FunctionLoader, StrictUndefined, select_autoesca
 
 from trimtab.host.base.output import json_text
 
+VERDICTS = {
+    "traced": "traced",
+    "nothing-missing": "nothing missing",
+    "undecided": "undecided",
+    "outside-library": "outside the library",
+    "learned": "learned",
+    None: "none stated",
+}
+"""Words for the verdict of a trace or model."""
+
 
 def render(template: str, **values: Any) -> str:
     """Return the HTML of a template with these values. Raises jinja2's error if one is missing."""

@@ -7,17 +7,9 @@ from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.report.html import render, script_data
+from trimtab.host.report.html import VERDICTS, render, script_data
 from trimtab.host.show.content import Content
 
-VERDICTS = {
-    "traced": "traced",
-    "nothing-missing": "nothing missing",
-    "undecided": "undecided",
-    "outside-library": "outside the library",
-    "learned": "learned",
-    None: "none stated",
-}
 _LIBRARY = "vendor/uplot/uPlot.iife.min.js"
 _LIBRARY_STYLE = "vendor/uplot/uPlot.min.css"
 _SCRIPTS = ("show_data.js", "show_plots.js", "show_scene.js", "show_page.js")

@@ -10,17 +10,10 @@ import numpy as np
 
 from trimtab.host.log import Flight
 from trimtab.host.report import figures
-from trimtab.host.report.html import render, script_data
+from trimtab.host.report.html import VERDICTS, render, script_data
 from trimtab.host.trace import words
 from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
-
-VERDICTS = {
-    "traced": "Traced",
-    "nothing-missing": "Nothing missing",
-    "undecided": "Undecided",
-    "outside-library": "Outside the library",
-}
 
 
 def pictures(result: Trace) -> list[figures.Figure]:
@@ -56,7 +49,7 @@ def page(
     """
     return render(
         "page.html.j2",
-        title=VERDICTS[result.verdict],
+        title=VERDICTS[result.verdict].capitalize(),
         sentence=words.verdict(result),
         words=words,
         result=result,

@@ -13,9 +13,9 @@ from trimtab.host.log.events import Event, read_events
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.provenance import PROVENANCE, VEHICLE_FILE, is_simulated
 from trimtab.host.log.scan import find_damaged, scan
-from trimtab.host.log.tracking import reference_at
+from trimtab.host.log.tracking import reference_at, tracking_errors_ned, within
 from trimtab.host.log.tracks import FAILSAFE_WORDS, Floats, Times
-from trimtab.host.show.lattice import Track, attitudes, euler_deg, lattice, peaks, sampled
+from trimtab.host.show.lattice import Track, attitudes, euler_deg, lattice, peaks, sampled, wrapped_deg
 
 UP = np.array([1.0, 1.0, -1.0])
 """Signs that turn NED into north, east, up, in which a page shows positions and velocities."""
@@ -77,8 +77,7 @@ def flight_track(shown: ShownFlight, name: str, step_us: int) -> Track:
     error = tracking_rows(flight)
     if error is not None:
         channels["error"] = peaks(at_us, error[0], 1e3 * np.linalg.norm(error[1], axis=1))
-        start, end = flight.tracking or (start_us, end_us)
-        channels["error"][(at_us < start) | (at_us > end)] = np.nan
+        channels["error"][~within(at_us, flight.tracking or shown.span_us)] = np.nan
     return Track(
         name=name,
         what="import" if flight.kind == "imported" else "flight",
@@ -115,12 +114,10 @@ def _add_reference(channels: dict[str, Any], flight: Flight, at_us: Times) -> No
     """Add the reference: position, velocity and yaw, over the tracking phase only."""
     inputs = flight.recorded_inputs
     if flight.reference is not None and flight.tracking is not None:
-        start_us, end_us = flight.tracking
-        flat = reference_at(flight.reference, at_us - start_us)
-        flat[(at_us < start_us) | (at_us > end_us)] = np.nan
+        flat = reference_at(flight.reference, at_us - flight.tracking[0])
+        flat[~within(at_us, flight.tracking)] = np.nan
         channels["p_ref"], channels["v_ref"] = flat[:, :3] * UP, flat[:, 3:6] * UP
-        yaw_deg = np.degrees(np.remainder(flat[:, 12] + np.pi, 2.0 * np.pi) - np.pi)
-        channels["yaw_ref"] = yaw_deg[:, None]
+        channels["yaw_ref"] = wrapped_deg(flat[:, 12])[:, None]
     elif inputs is not None:
         if inputs.p_ref is not None:
             channels["p_ref"] = sampled(at_us, inputs.t_us, inputs.p_ref * UP)
@@ -147,16 +144,14 @@ def tracking_rows(
     if mocap is None:
         return None
     if flight.reference is not None and flight.tracking is not None:
-        start_us, end_us = flight.tracking
-        reference = reference_at(flight.reference, mocap.t_us - start_us)[:, :3]
-        keep = (mocap.t_us >= start_us) & (mocap.t_us <= end_us)
-    elif inputs is not None and inputs.p_ref is not None:
-        start_us, end_us = flight.tracking or (int(inputs.t_us[0]), int(inputs.t_us[-1]))
-        reference = sampled(mocap.t_us, inputs.t_us, inputs.p_ref)
-        keep = (mocap.t_us >= start_us) & (mocap.t_us <= end_us) & np.isfinite(reference).all(axis=1)
-    else:
+        errors = tracking_errors_ned(flight)
+        return None if errors is None else (mocap.t_us[within(mocap.t_us, flight.tracking)], errors)
+    if inputs is None or inputs.p_ref is None:
         return None
-    return (mocap.t_us[keep], (mocap.p - reference)[keep]) if keep.any() else None
+    interval_us = flight.tracking or (int(inputs.t_us[0]), int(inputs.t_us[-1]))
+    errors = mocap.p - sampled(mocap.t_us, inputs.t_us, inputs.p_ref)
+    keep = within(mocap.t_us, interval_us) & np.isfinite(errors).all(axis=1)
+    return (mocap.t_us[keep], errors[keep]) if keep.any() else None
 
 
 def event_rows(shown: ShownFlight) -> list[dict[str, Any]]:
@@ -205,6 +200,11 @@ def flight_facts(shown: ShownFlight, path: Path, route: str | None) -> dict[str,
     }
 
 
+def no_route_note(reason: str) -> str:
+    """Return the note on a flight or plan whose route is not known."""
+    return f"The route is not known, because {reason}. Waypoints, gates and keep-out shapes are not shown."
+
+
 def flight_notes(shown: ShownFlight, route: str | None) -> list[str]:
     """Return what a reader must know of a flight, as sentences."""
     flight, notes = shown.flight, []
@@ -221,8 +221,5 @@ def flight_notes(shown: ShownFlight, route: str | None) -> list[str]:
     if flight.kind == "flight" and is_simulated(flight.metadata) is None:
         notes.append("The log does not record whether the vehicle was simulated.")
     if flight.reference_id is not None and route is None:
-        notes.append(
-            "The route is not known, because no .ref.json file beside the log is that of this reference. "
-            "Waypoints, gates and keep-out shapes are not shown."
-        )
+        notes.append(no_route_note("no .ref.json file beside the log is that of this reference"))
     return notes

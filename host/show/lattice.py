@@ -8,6 +8,8 @@ from typing import Annotated, Any
 
 import numpy as np
 
+from trimtab.firmware_model.law.rotations import matrix_to_euler, quat_from_euler, quat_to_matrix
+from trimtab.host.codegen import NUMPY
 from trimtab.host.log.tracks import Floats, Times
 
 FINEST_US = 10_000
@@ -107,24 +109,16 @@ def attitudes(at_us: Times, t_us: Times, q: Annotated[Floats, "rows 4"]) -> Anno
         return rows / np.linalg.norm(rows, axis=1, keepdims=True)
 
 
+def wrapped_deg(angle: Annotated[Floats, "samples"]) -> Annotated[Floats, "samples"]:
+    """Return angles, rad, as degrees within -180 and 180."""
+    return np.degrees(np.remainder(angle + np.pi, 2.0 * np.pi) - np.pi)
+
+
 def euler_deg(q: Annotated[Floats, "samples 4"]) -> Annotated[Floats, "samples 3"]:
     """Return roll, pitch and yaw (z-y-x), degrees, of quaternions w first."""
-    w, x, y, z = q.T
-    roll = np.arctan2(2.0 * (w * x + y * z), 1.0 - 2.0 * (x * x + y * y))
-    pitch = np.arcsin(np.clip(2.0 * (w * y - z * x), -1.0, 1.0))
-    yaw = np.arctan2(2.0 * (w * z + x * y), 1.0 - 2.0 * (y * y + z * z))
-    return np.degrees(np.stack([roll, pitch, yaw], axis=1))
+    return np.degrees(np.stack(matrix_to_euler(NUMPY, quat_to_matrix(NUMPY, tuple(q.T))), axis=1))
 
 
 def quaternions(euler_rad: Annotated[Floats, "samples 3"]) -> Annotated[Floats, "samples 4"]:
     """Return quaternions, w first, of roll, pitch and yaw (z-y-x), rad; inverse of `euler_deg`."""
-    (cr, cp, cy), (sr, sp, sy) = np.cos(0.5 * euler_rad.T), np.sin(0.5 * euler_rad.T)
-    return np.stack(
-        [
-            cr * cp * cy + sr * sp * sy,
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-        ],
-        axis=1,
-    )
+    return np.stack(quat_from_euler(NUMPY, *euler_rad.T), axis=1)

@@ -13,8 +13,8 @@ from trimtab.host.plan.profile import Profile, profile
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.plan.table import from_reference
 from trimtab.host.route import Route
-from trimtab.host.show.flights import UP
-from trimtab.host.show.lattice import Track, euler_deg, lattice, quaternions
+from trimtab.host.show.flights import UP, no_route_note
+from trimtab.host.show.lattice import Track, euler_deg, lattice, quaternions, wrapped_deg
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 
@@ -31,7 +31,7 @@ def plan_track(
         "speed": np.linalg.norm(flat[:, 3:6], axis=1)[:, None],
     }
     if vehicle is None:
-        channels["yaw_ref"] = np.degrees(np.remainder(flat[:, 12] + np.pi, 2.0 * np.pi) - np.pi)[:, None]
+        channels["yaw_ref"] = wrapped_deg(flat[:, 12])[:, None]
     else:
         along = nominal_profile(reference, vehicle, grid_us)
         channels["q"] = quaternions(along.x[THETA].T)
@@ -102,8 +102,5 @@ def plan_notes(reference: Reference, vehicle: Vehicle | None, route: Route | Non
             "not shown. Name it with --vehicle."
         )
     if route is None:
-        notes.append(
-            "The route is not known, because the .ref.json file of this reference is missing. Waypoints, "
-            "gates and keep-out shapes are not shown."
-        )
+        notes.append(no_route_note("the .ref.json file of this reference is missing"))
     return notes

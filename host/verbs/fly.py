@@ -171,6 +171,7 @@ def _answer(result: FlightResult, reference: Path, options: FlyOptions) -> None:
 def _passed(result: FlightResult, path: Path) -> list[Passed]:
     """Return how the flight passed the obstacles of its route, if the plan's file beside it names any."""
     from trimtab.host.log import read_flight, topics
+    from trimtab.host.log.tracking import within
     from trimtab.host.plan.files import read_course
     from trimtab.host.route.clearance import flown_clearance, has_obstacles
 
@@ -180,9 +181,9 @@ def _passed(result: FlightResult, path: Path) -> list[Passed]:
     flight = read_flight(result.log, leave_out=[topics.FC_CONTROL])
     assert flight.mocap is not None  # else it has no tracking error
     assert flight.tracking is not None
-    start_us, end_us = flight.tracking
-    keep = (flight.mocap.t_us >= start_us) & (flight.mocap.t_us <= end_us)
-    return flown_clearance(*course, 1e-6 * (flight.mocap.t_us[keep] - start_us), flight.mocap.p[keep])
+    keep = within(flight.mocap.t_us, flight.tracking)
+    t_s = 1e-6 * (flight.mocap.t_us[keep] - flight.tracking[0])
+    return flown_clearance(*course, t_s, flight.mocap.p[keep])
 
 
 def _check(options: FlyOptions) -> None:
