@@ -12,6 +12,7 @@ import textwrap
 import warnings
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trimtab.host.base import output
@@ -23,6 +24,9 @@ if TYPE_CHECKING:
     from cyclopts import App
 
 
+DOCS = Path(__file__).resolve().parents[1] / "docs"
+"""Documentation: of the checkout, or inside the package where a wheel is installed."""
+_HELP_FLAGS = ("--help", "-h")
 _GARBAGE_THRESHOLD = 50_000
 """New objects between two searches for garbage. Imports make many that stay; by default, 700, a search would
 go through them again and again."""
@@ -32,10 +36,11 @@ _HELP_WIDTH_MIN = 20
 
 @dataclass(frozen=True, kw_only=True)
 class Verb:
-    """A verb: its name, its module in trimtab.host.verbs, and its line in the help."""
+    """A verb: its name, its module in trimtab.host.verbs, its page in `DOCS`, and its line in the help."""
 
     name: str
     module: str
+    page: str
     help: str
 
 
@@ -43,43 +48,123 @@ VERBS = (
     Verb(
         name="demo",
         module="demo",
+        page="guide/demo.md",
         help="Plan, fly, trace the missing effects and plan again, then write a report.",
     ),
-    Verb(name="init", module="init", help="Make a workspace: folders for your own files."),
-    Verb(name="plan", module="plan", help="Plan a reference for a route and check it."),
-    Verb(name="export", module="export", help="Export a plan for other vehicles and programs."),
-    Verb(name="sitl", module="sitl", help="Simulate a vehicle and its camera system at a port."),
-    Verb(name="upload", module="upload", help="Send a reference or feed-forward to a vehicle and commit it."),
+    Verb(
+        name="init",
+        module="init",
+        page="guide/workspace.md",
+        help="Make a workspace: folders for your own files.",
+    ),
+    Verb(
+        name="plan",
+        module="plan",
+        page="guide/planning.md",
+        help="Plan a reference for a route and check it.",
+    ),
+    Verb(
+        name="export",
+        module="export",
+        page="guide/export.md",
+        help="Export a plan for other vehicles and programs.",
+    ),
+    Verb(
+        name="sitl",
+        module="sitl",
+        page="guide/first-flight.md",
+        help="Simulate a vehicle and its camera system at a port.",
+    ),
+    Verb(
+        name="upload",
+        module="upload",
+        page="guide/first-flight.md",
+        help="Send a reference or feed-forward to a vehicle and commit it.",
+    ),
     Verb(
         name="poses",
         module="poses",
+        page="guide/clients.md",
         help="Forward a camera system's poses while another ground station flies.",
     ),
-    Verb(name="download", module="download", help="Download a reference or feed-forward from a vehicle."),
-    Verb(name="key", module="key", help="Make a key of message signing; install or revoke it on a vehicle."),
-    Verb(name="fly", module="fly", help="Fly a reference, simulated or at a port, and write its log."),
-    Verb(name="learn", module="learn", help="Learn effects and a residual network from flight logs."),
-    Verb(name="trace", module="trace", help="Name the effects that a model lacks, from flight logs."),
+    Verb(
+        name="download",
+        module="download",
+        page="concepts/link.md",
+        help="Download a reference or feed-forward from a vehicle.",
+    ),
+    Verb(
+        name="key",
+        module="key",
+        page="guide/signing.md",
+        help="Make a key of message signing; install or revoke it on a vehicle.",
+    ),
+    Verb(
+        name="fly",
+        module="fly",
+        page="guide/first-flight.md",
+        help="Fly a reference, simulated or at a port, and write its log.",
+    ),
+    Verb(
+        name="learn",
+        module="learn",
+        page="guide/learning.md",
+        help="Learn effects and a residual network from flight logs.",
+    ),
+    Verb(
+        name="trace",
+        module="trace",
+        page="guide/tracing.md",
+        help="Name the effects that a model lacks, from flight logs.",
+    ),
     Verb(
         name="correct",
         module="correct",
+        page="guide/correction.md",
         help="Make a feed-forward that compensates a model's effects and network on board.",
     ),
     Verb(
         name="import",
         module="import_",
+        page="guide/imports.md",
         help="Say what a foreign flight log holds, or convert it to a Trimtab log.",
     ),
     Verb(
         name="vehicle",
         module="vehicle",
+        page="guide/vehicle.md",
         help="Write a vehicle file from a few facts, or check one against a flight.",
     ),
-    Verb(name="log", module="log", help="Describe, recover or export a flight log."),
-    Verb(name="show", module="show", help="Show flights, plans and models on one interactive page."),
-    Verb(name="lineage", module="lineage", help="Tell what a file came from and what came from it."),
-    Verb(name="study", module="study", help="Run a study over many worlds or the paper's set-ups."),
-    Verb(name="bench", module="bench", help="Measure speed on this machine."),
+    Verb(
+        name="log",
+        module="log",
+        page="reference/flight-log.md",
+        help="Describe, recover or export a flight log.",
+    ),
+    Verb(
+        name="show",
+        module="show",
+        page="guide/show.md",
+        help="Show flights, plans and models on one interactive page.",
+    ),
+    Verb(
+        name="lineage",
+        module="lineage",
+        page="guide/workspace.md",
+        help="Tell what a file came from and what came from it.",
+    ),
+    Verb(
+        name="study",
+        module="study",
+        page="studies/studies.md",
+        help="Run a study over many worlds or the paper's set-ups.",
+    ),
+    Verb(
+        name="bench",
+        module="bench",
+        page="performance.md",
+        help="Measure speed on this machine.",
+    ),
 )
 
 
@@ -161,7 +246,7 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 def _run(words: list[str]) -> int:
     """Run the verb that `words` name and return its exit code."""
-    if words in ([], ["--help"], ["-h"]):
+    if words in ([], *([flag] for flag in _HELP_FLAGS)):
         output.say(*_overview())
         return 0
     from cyclopts import CycloptsError
@@ -175,6 +260,8 @@ def _run(words: list[str]) -> int:
     except CycloptsError as error:
         text = " ".join(str(error).split())
         return _fail(words, f"{text} Try: trimtab {_verb_of(words)}--help", 2)
+    if any(flag in words for flag in _HELP_FLAGS):
+        output.say(*(f"Guide: {DOCS / verb.page}" for verb in VERBS if verb.name == words[0]))
     return result if isinstance(result, int) and not isinstance(result, bool) else 0
 
 
@@ -188,7 +275,8 @@ def _overview() -> list[str]:
     for name, text in rows:
         first, *rest = textwrap.wrap(text, width - indent)
         lines += [f"  {name}".ljust(indent) + first, *(" " * indent + line for line in rest)]
-    return [*lines, "", "`trimtab COMMAND --help` describes a command."]
+    lines += ["", "`trimtab COMMAND --help` describes a command.", f"Documentation: {DOCS / 'README.md'}"]
+    return lines
 
 
 def _verb_of(words: Sequence[str]) -> str:

@@ -45,7 +45,7 @@ def verb(monkeypatch: pytest.MonkeyPatch) -> Callable[[Callable[..., object]], N
         module = types.ModuleType("trimtab.host.verbs.probe")
         vars(module)["command"] = command
         monkeypatch.setitem(sys.modules, "trimtab.host.verbs.probe", module)
-        probe = cli.Verb(name="probe", module="probe", help="A verb of this test.")
+        probe = cli.Verb(name="probe", module="probe", page="README.md", help="A verb of this test.")
         monkeypatch.setattr(cli, "VERBS", (probe,))
 
     return install
