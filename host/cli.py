@@ -154,6 +154,12 @@ VERBS = (
         help="Tell what a file came from and what came from it.",
     ),
     Verb(
+        name="doctor",
+        module="doctor",
+        page="guide/workspace.md",
+        help="Check that Trimtab works on this machine and in this workspace.",
+    ),
+    Verb(
         name="study",
         module="study",
         page="studies/studies.md",

@@ -1,1 +1,1 @@
-"""Applications on top of the library: the demo, the paper's studies, the benchmark."""
+"""Applications on top of the library: the demo, the paper's studies, the benchmark, the doctor."""

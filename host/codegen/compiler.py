@@ -33,6 +33,8 @@ _PROCESSOR_LINES = (
     "cpu implementer", "cpu architecture", "cpu variant", "cpu part",
 )  # fmt: skip
 """Lines of /proc/cpuinfo from which a compiler knows the instructions of this machine."""
+_VECTOR_INSTRUCTIONS = ("avx512f", "avx2", "avx", "sse2", "asimd")
+"""By their names in /proc/cpuinfo."""
 _warned: set[str] = set()
 
 
@@ -139,6 +141,12 @@ def processor() -> str:
         return ""
     known = {line for line in lines if line.split(":")[0].strip().lower() in _PROCESSOR_LINES}
     return "\n".join(sorted(known))
+
+
+def vector_instructions() -> list[str]:
+    """Return the instructions of this machine that decide the width of vectors, the widest first."""
+    known = set(processor().lower().split())
+    return [name for name in _VECTOR_INSTRUCTIONS if name in known]
 
 
 def run_compiler(

@@ -80,14 +80,26 @@ def cache_directory() -> Path:
 
     Where it cannot be made, return one that is deleted when this process ends.
     """
-    base = os.environ.get("XDG_CACHE_HOME", "")
     try:
-        root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
-        path = root / "trimtab" / "codegen"
-        path.mkdir(parents=True, exist_ok=True)
+        return _made_cache()
     except (OSError, RuntimeError) as error:
         _warn_of_cache(error)
         return _temporary()
+
+
+def writable_cache() -> Path:
+    """Return the cache's directory. Raises OSError or RuntimeError if nothing can be written there."""
+    path = _made_cache()
+    with tempfile.TemporaryFile(dir=path):
+        return path
+
+
+def _made_cache() -> Path:
+    """Return the cache's directory, made. Raises OSError, or RuntimeError for a user without a home."""
+    base = os.environ.get("XDG_CACHE_HOME", "")
+    root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
+    path = root / "trimtab" / "codegen"
+    path.mkdir(parents=True, exist_ok=True)
     return path
 
 

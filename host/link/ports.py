@@ -45,6 +45,13 @@ def open_port(url: str, baud: int = BAUD) -> Port:
     return _SerialPort(url, baud)
 
 
+def serial_devices() -> list[str]:
+    """Return the paths of this machine's serial devices, sorted."""
+    from serial.tools import list_ports  # it knows fewer systems than pyserial does
+
+    return sorted(port.device for port in list_ports.comports())
+
+
 class _SerialPort:
     """A device that pyserial opens."""
 

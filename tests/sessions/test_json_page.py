@@ -131,6 +131,10 @@ def test_init_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], 
     trimtab("plan", "square", "--workspace", "lab", "-o", "square.ref")
 
 
+def test_doctor_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]]) -> None:
+    check("doctor", trimtab("doctor"))
+
+
 def test_export_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], hop: str) -> None:
     trimtab("plan", hop, "-o", "hop.ref")
     for form in ("csv", "crazyflie"):

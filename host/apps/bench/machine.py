@@ -6,11 +6,9 @@ import ctypes
 from time import process_time
 from typing import Any
 
-from trimtab.host.codegen.compiler import Compiler, compiled, processor
+from trimtab.host.codegen.compiler import Compiler, compiled, vector_instructions
 from trimtab.host.codegen.simd import lane_count, simd_library
 
-FEATURES = ("avx512f", "avx2", "avx", "sse2", "asimd")
-"""Instructions, by their names in /proc/cpuinfo, that decide the vector width."""
 _ROUNDS, _REPEATS = 2_000_000, 5
 _CHAINS = 8
 """Independent sums, enough to keep all units of a core busy."""
@@ -29,11 +27,9 @@ def measure() -> dict[str, Any]:
 
     The peak is of separate multiplications and additions, which compiled code here uses for equal bits.
     """
-    known = set(processor().lower().split())
-    features = [name for name in FEATURES if name in known]
     found = compiled(_peak)
     lanes, peak = (None, None) if found is None else found
-    return {"lanes": lanes, "features": features, "peak_gflops": peak}
+    return {"lanes": lanes, "features": vector_instructions(), "peak_gflops": peak}
 
 
 def gradient_floor_ms(peak_gflops: float | None, weights: int, points: int) -> float | None:

@@ -1,0 +1,1 @@
+"""`trimtab doctor`: what of Trimtab works on this machine and in this workspace."""
