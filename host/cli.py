@@ -160,6 +160,12 @@ VERBS = (
         help="Check that Trimtab works on this machine and in this workspace.",
     ),
     Verb(
+        name="completion",
+        module="completion",
+        page="guide/first-flight.md",
+        help="Complete verbs, options and files in bash, zsh or fish.",
+    ),
+    Verb(
         name="study",
         module="study",
         page="studies/studies.md",
