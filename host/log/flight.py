@@ -16,7 +16,7 @@ from google.protobuf.message import DecodeError
 
 from trimtab.host.log import topics
 from trimtab.host.log.composed import composed, swap_us
-from trimtab.host.log.errors import LogError
+from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
 from trimtab.host.log.provenance import (
     AUTOPILOT,
     FEEDFORWARD_FILE,
@@ -77,15 +77,15 @@ def _garbage_kept() -> Iterator[None]:
 def scan_closed(path: Path) -> Scan:
     """Return all records of a closed log. Raises LogError, with the remedy, for a cut or foreign log."""
     records = scan(find_damaged(path))
+    if records.is_foreign:
+        raise foreign_log(records.path, NOT_OURS)
     if not records.whole:
         raise LogError(
             f"{records.path}: ends early or is damaged ({records.damage}); "
             f"run `trimtab log recover {records.path}`"
         )
     if PROVENANCE not in records.metadata or VEHICLE_FILE not in records.attachments:
-        raise LogError(
-            f"{records.path}: an MCAP file, but not a trimtab log; import foreign logs with `trimtab import`"
-        )
+        raise foreign_log(records.path, NOT_OURS)
     return records
 
 

@@ -15,7 +15,7 @@ from mcap.records import Metadata
 from mcap.stream_reader import StreamReader
 
 from trimtab.host.base.artefacts import content_id
-from trimtab.host.log.errors import LogError
+from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
 
@@ -41,7 +41,7 @@ def read_heading(path: Path) -> Heading:
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
     if not content.startswith(MAGIC):
-        raise LogError(f"{path}: is not an MCAP file; give a flight log")
+        raise foreign_log(path, "is not an MCAP file")
     if not content.endswith(MAGIC) or len(content) == len(MAGIC):
         raise LogError(f"{path}: ends early; run `trimtab log recover {path}`")
     try:
@@ -49,7 +49,7 @@ def read_heading(path: Path) -> Heading:
     except (McapError, struct.error, OverflowError, ValueError, MemoryError) as error:
         raise LogError(f"{path}: is damaged; run `trimtab log recover {path}`") from error
     if PROVENANCE not in metadata:
-        raise LogError(f"{path}: is not a log of trimtab; convert it with `trimtab import`")
+        raise foreign_log(path, NOT_OURS)
     return Heading(id=content_id(content), metadata=metadata)
 
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.log.errors import LogError
+from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
 from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.mcap_file import McapFile
@@ -54,6 +54,8 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     """
     source = find_damaged(path)
     records = scan(source)
+    if records.is_foreign:
+        raise foreign_log(source, NOT_OURS)
     times = [message.log_time_us for message in records.messages]
     target = None
     if not records.whole:

@@ -21,7 +21,7 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
-from trimtab.host.log.errors import LogError
+from trimtab.host.log.errors import LogError, foreign_log
 from trimtab.host.log.file_time import file_units_per_us
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
@@ -72,6 +72,11 @@ class Scan:
     metadata: dict[str, dict[str, str]] = field(default_factory=dict)
     attachments: dict[str, tuple[str, bytes]] = field(default_factory=dict)
 
+    @property
+    def is_foreign(self) -> bool:
+        """Whether another program wrote the file: Trimtab writes its provenance before any topic."""
+        return bool(self.channels) and PROVENANCE not in self.metadata
+
     def by_topic(self) -> dict[str, list[Entry]]:
         """Return the messages of every topic that has a channel, in file order."""
         topics: dict[str, list[Entry]] = {channel.topic: [] for channel in self.channels.values()}
@@ -94,11 +99,14 @@ def scan(path: Path) -> Scan:
     """
     try:
         content = path.read_bytes()
+    except IsADirectoryError:
+        raise foreign_log(path, "is a folder") from None
     except OSError as error:
         raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+    if not content:
+        raise LogError(f"{path}: is empty; give a flight log written by trimtab fly or trimtab import")
     if not content.startswith(MAGIC):
-        problem = "is empty" if not content else "is not an MCAP file"
-        raise LogError(f"{path}: {problem}; give a flight log written by trimtab fly or trimtab import")
+        raise foreign_log(path, "is not an MCAP file")
     result = Scan(path=path, id=hashlib.sha256(content).hexdigest()[:12], size=len(content))
     reader = StreamReader(
         BytesIO(_without_message_indexes(content)),

@@ -9,6 +9,7 @@ from typing import Annotated, Any
 import numpy as np
 
 from trimtab.host.log import Flight, LogError
+from trimtab.host.log.errors import NOT_OURS, foreign_log
 from trimtab.host.log.events import Event, read_events
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.provenance import PROVENANCE, VEHICLE_FILE, is_simulated
@@ -52,11 +53,8 @@ def read_shown(path: Path) -> ShownFlight:
     """
     records = scan(find_damaged(path))
     if PROVENANCE not in records.metadata or VEHICLE_FILE not in records.attachments:
-        if records.whole:
-            raise LogError(
-                f"{records.path}: an MCAP file, but not a trimtab log; import foreign logs with "
-                "`trimtab import`"
-            )
+        if records.whole or records.is_foreign:
+            raise foreign_log(records.path, NOT_OURS)
         raise LogError(f"{records.path}: cut before the vehicle file, nothing can be shown; fly again")
     flight = to_flight(records)
     return ShownFlight(

@@ -29,6 +29,8 @@ import pytest
 from trimtab.host import cli
 from trimtab.host.base import output
 from trimtab.host.base.errors import EXIT_CODES
+from trimtab.host.export.ros2 import write_bag
+from trimtab.host.link.blob_files import read_reference
 from trimtab.host.log import LogError, read_flight, recover
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Assessment, Model
@@ -301,8 +303,23 @@ def test_cut_log_that_is_recovered_can_be_read(
 
 def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
     for verb in (("trace",), ("learn",), ("log", "info"), ("log", "recover")):
-        refused(*verb, ref, code=5, parts=["eight.ref: is not an MCAP file"])
+        refused(*verb, ref, code=5, parts=["eight.ref: is not an MCAP file", "`trimtab import eight.ref`"])
         refused(*verb, "nowhere.mcap", code=5, parts=["nowhere.mcap: cannot be read", "check the path"])
+
+
+@pytest.mark.parametrize("verb", [("trace",), ("learn",), ("log", "info"), ("log", "recover"), ("show",)])
+def test_bag_of_ros_names_its_import(
+    refused: Refused, ref: str, tmp_path: Path, verb: tuple[str, ...]
+) -> None:
+    pytest.importorskip("rosbags", reason="rosbags is not installed; pip install 'trimtab[logs]'")
+    write_bag(read_reference(tmp_path / ref), 20.0, tmp_path / "bag")
+    inside = tmp_path / "bag" / "bag.mcap"
+    (tmp_path / "ros.mcap").write_bytes(inside.read_bytes())
+    refused(*verb, "ros.mcap", code=5, parts=["another program", "`trimtab import ros.mcap`"])
+    (tmp_path / "cut.mcap").write_bytes(inside.read_bytes()[:-100])
+    refused(*verb, "cut.mcap", code=5, parts=["another program", "`trimtab import cut.mcap`"])
+    if verb != ("show",):  # takes a folder as one of logs
+        refused(*verb, "bag", code=5, parts=["is a folder", "`trimtab import bag`"])
 
 
 def test_log_of_another_vehicle_is_refused(refused: Refused, log: str) -> None:
