@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import StrEnum
 from typing import Any
 
@@ -59,13 +59,17 @@ RULES = Rules()
 
 @dataclass(frozen=True, kw_only=True)
 class Figure:
-    """One number of a flight, the range that the vehicle file expects, and the verdict."""
+    """One number of a flight, the range that the vehicle file expects, and the verdict.
+
+    by_wide_tolerance: it fits, but would differ with the tolerances of measured values.
+    """
 
     name: str
     value: float | None
     low: float
     high: float
     verdict: Verdict
+    by_wide_tolerance: bool = False
 
     def to_json(self) -> dict[str, Any]:
         """Return the figure as plain data."""
@@ -75,6 +79,7 @@ class Figure:
             "low": self.low,
             "high": self.high,
             "verdict": self.verdict.value,
+            "by_wide_tolerance": self.by_wide_tolerance,
         }
 
 
@@ -175,29 +180,56 @@ def _figure(name: str, value: float | None, low: float, high: float, known: bool
     return Figure(name=name, value=value, low=low, high=high, verdict=verdict)
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Tolerance:
+    """A tolerance that a ratio depends on. usual: that of a measured value. weight: share in the ratio."""
+
+    effect: str
+    parameter: str
+    usual: float
+    weight: float = 1.0
+
+
+def _ratio(
+    name: str,
+    value: float | None,
+    vehicle: Vehicle,
+    tolerances: Sequence[_Tolerance],
+    others: Sequence[float],
+    known: bool,
+    rules: Rules,
+) -> Figure:
+    """Return a figure that is 1 for a perfect file. others: relative sigmas beside the file's tolerances."""
+
+    def spread(sigmas: Sequence[float]) -> float:
+        weighted = [t.weight * sigma for t, sigma in zip(tolerances, sigmas, strict=True)]
+        return math.exp(rules.sigmas * math.hypot(*weighted, *others))
+
+    stated = spread([vehicle.tolerance(t.effect, t.parameter, t.usual) for t in tolerances])
+    usual = spread([t.usual for t in tolerances])
+    figure = _figure(name, value, 1.0 / stated, stated, known)
+    if value is None or figure.verdict is not Verdict.FITS:
+        return figure
+    return replace(figure, by_wide_tolerance=not 1.0 / usual <= value <= usual)
+
+
 def _thrust(
     thrust: ThrustFigures | None, vehicle: Vehicle, uncalibrated: bool, voltage: float | None, rules: Rules
 ) -> list[Figure]:
     """Return scale and slope of the thrust and the forces across it."""
     share = 1.0 if voltage is None else max(voltage / vehicle.battery.full_v, 0.1)
     sd = 0.0 if thrust is None else thrust.scale.sd / max(abs(thrust.scale.value), 1e-9)
-    spread = math.exp(
-        rules.sigmas
-        * math.hypot(
-            vehicle.tolerance("thrust-gain", "gain", 0.01),
-            vehicle.tolerance("mass", "factor", 0.01),
-            vehicle.tolerance("battery-sag", "exponent", 0.1) * math.log(share),
-            rules.thrust_model,
-            sd,
-        )
+    tolerances = (
+        _Tolerance(effect="thrust-gain", parameter="gain", usual=0.01),
+        _Tolerance(effect="mass", parameter="factor", usual=0.01),
+        _Tolerance(effect="battery-sag", parameter="exponent", usual=0.1, weight=math.log(share)),
     )
+    scale = None if thrust is None else thrust.scale.value
     slope = None if thrust is None else thrust.slope
     sure = slope is not None and slope.sd < rules.slope_sd * max(1.0, abs(slope.value))
     forces = (None, None) if thrust is None else thrust.force_xyz[:2]
     return [
-        _figure(
-            "thrust", None if thrust is None else thrust.scale.value, 1.0 / spread, spread, not uncalibrated
-        ),
+        _ratio("thrust", scale, vehicle, tolerances, (rules.thrust_model, sd), not uncalibrated, rules),
         _figure("thrust-slope", slope.value if slope else None, *rules.slope, sure and not uncalibrated),
         *(
             _figure(f"force-{axis}", force, -rules.side_force, rules.side_force)
@@ -208,25 +240,19 @@ def _thrust(
 
 def _gains(torque: TorqueFigures | None, vehicle: Vehicle, free: bool, rules: Rules) -> list[Figure]:
     """Return the gain of the torque about each axis."""
-    lag = vehicle.tolerance("motor-lag", "extra_s", 0.001) / vehicle.motor_lag_s
+    by_lag = rules.lag_share / vehicle.motor_lag_s
     gains: Sequence[Estimate | None] = (None, None, None) if torque is None else torque.gain
     figures = []
     for axis, key, gain in zip(AXES, "xyz", gains, strict=True):
         sd = 0.0 if gain is None else gain.sd / max(abs(gain.value), 1e-9)
-        spread = math.exp(
-            rules.sigmas
-            * math.hypot(
-                vehicle.tolerance("inertia", key, 0.04),
-                vehicle.tolerance("thrust-gain", "gain", 0.01),
-                rules.lag_share * lag,
-                rules.torque_model,
-                min(sd, rules.gain_sd),
-            )
+        tolerances = (
+            _Tolerance(effect="inertia", parameter=key, usual=0.04),
+            _Tolerance(effect="thrust-gain", parameter="gain", usual=0.01),
+            _Tolerance(effect="motor-lag", parameter="extra_s", usual=0.001, weight=by_lag),
         )
-        value = None if gain is None else gain.value
-        figures.append(
-            _figure(f"torque-{axis}", value, 1.0 / spread, spread, not free and sd < rules.gain_sd)
-        )
+        value, others = None if gain is None else gain.value, (rules.torque_model, min(sd, rules.gain_sd))
+        known = not free and sd < rules.gain_sd
+        figures.append(_ratio(f"torque-{axis}", value, vehicle, tolerances, others, known, rules))
     return figures
 
 
@@ -273,13 +299,17 @@ _WHAT = {
 """Description of each figure."""
 
 
+_BY_TOLERANCE = " only by a wide tolerance"
+
+
 def to_lines(check: Check) -> list[str]:
     """Return the check as lines of text: figure, value, expected range, verdict."""
     lines = []
     for figure in check.figures:
         value = "-" if figure.value is None else f"{figure.value:.3g}"
         expected = f"{figure.low:.3g} to {figure.high:.3g}"
-        lines.append(f"{_WHAT[figure.name]:44} {value:>8}  {expected:>16}  {figure.verdict}")
+        verdict = f"{figure.verdict}{_BY_TOLERANCE if figure.by_wide_tolerance else ''}"
+        lines.append(f"{_WHAT[figure.name]:44} {value:>8}  {expected:>16}  {verdict}")
     told = check.assignment.to_json()
     order, spins = (told[name] for name in ("order", "spins"))
     lines.append(
@@ -287,4 +317,9 @@ def to_lines(check: Check) -> list[str]:
         f"{'1 2 3 4':>16}  {told['order_verdict']}"
     )
     lines.append(f"{'spins':44} {'-' if spins is None else ' '.join(spins):>26}  {told['spins_verdict']}")
+    if any(figure.by_wide_tolerance for figure in check.figures):
+        lines.append(
+            f"{Verdict.FITS}{_BY_TOLERANCE}: with the tolerances of measured values it would differ, so the "
+            "file may be wrong by that much; measure its guesses and lower their tolerances"
+        )
     return lines

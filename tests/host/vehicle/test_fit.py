@@ -14,7 +14,7 @@ from scipy.spatial.transform import Rotation
 from tests.host.vehicle.flights import GRAVITY_M_S2, fly
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import Vehicle, load_vehicle, parse_vehicle
-from trimtab.host.vehicle.check import Check, Verdict, decide
+from trimtab.host.vehicle.check import Check, Verdict, decide, to_lines
 from trimtab.host.vehicle.fit import thrust_figures, torque_figures
 from trimtab.host.vehicle.log_check import check_flight
 from trimtab.host.vehicle.motion import Tracks, lagged, motion
@@ -107,6 +107,23 @@ def test_mass_off_by_a_fifth_is_named(name: str, factor: float) -> None:
     for tracks in flights:
         assert check(tracks, wrong).differing == ["thrust"]
         assert check(tracks, wrong, logged=vehicle).differing == ["mass", "thrust"]
+
+
+@pytest.mark.parametrize(("factor", "wide"), [(1.0, False), (1.45, True)])
+def test_thrust_that_fits_only_by_a_wide_tolerance_says_so(factor: float, wide: bool) -> None:
+    vehicle, (tracks, *_) = flights_of("research")
+    guessed = vehicle.replace(
+        mass_kg=factor * vehicle.mass_kg,
+        tolerances={**vehicle.tolerances, "thrust-gain.gain": 0.15},
+    )
+    result = check(tracks, guessed)
+    (thrust,) = [figure for figure in result.figures if figure.name == "thrust"]
+    assert thrust.value == pytest.approx(factor, rel=0.03)
+    assert (thrust.verdict, thrust.by_wide_tolerance) == (Verdict.FITS, wide)
+    assert thrust.to_json()["by_wide_tolerance"] is wide
+    assert any("fits only by a wide tolerance" in line for line in to_lines(result)) is wide
+    measured = check(tracks, guessed.replace(tolerances=vehicle.tolerances))
+    assert ("thrust" in measured.differing) is wide
 
 
 def test_command_of_a_range_from_zero_is_named_by_scale_and_slope() -> None:
