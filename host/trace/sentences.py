@@ -73,6 +73,13 @@ def _topic_at(f: Finding, rate_hz: float | None) -> str:
     return f"{f.subject[0]} at {rate_hz:.0f} Hz"
 
 
+_OBSTACLES = {
+    "reference": "no reference recorded",
+    "control-law": "no parameters of the control law recorded",
+    "host-control": "a controller on the host flew",
+}
+"""What keeps a flight from being predicted from its reference, by the subject of NO_REFERENCE."""
+
 _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.FLIGHTS_REPEAT: lambda f: (
         f"{1e3 * f.details['position_m']:.1f} mm of the prediction error repeat between repeat flights, with "
@@ -119,8 +126,7 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     ),
     Code.NO_INPUTS: lambda f: "no inputs recorded: only forces perpendicular to the thrust are observable",
     Code.NO_REFERENCE: lambda f: (
-        "no reference or no control law recorded, or a controller on the host flew: tracing uses segments, "
-        "which determine timing less well"
+        f"{_OBSTACLES[f.subject[0]]}: tracing uses segments, which determine timing less well"
     ),
     Code.NO_GYRO: lambda f: "no gyro: actuation delay and mocap latency are hard to distinguish",
     Code.SAMPLED_COMMANDS: lambda f: (

@@ -184,8 +184,12 @@ def _errors_line(result: Trace) -> str:
 def taken_up(result: Trace) -> list[str]:
     """Return a line on the adjustments that take much of their tolerance; none if there are none."""
     far = sentences(result.findings, frozenset({Code.ADJUSTED_FAR}))
-    remedy = "if you know one better, give it a smaller tolerance in the vehicle file"
-    return [f"adjusted within tolerance, not named: {', '.join(far)}; {remedy}"] if far else []
+    if not far:
+        return []
+    return [
+        f"moved by more than {RULES.far_tolerances:g} tolerances, but not named: {', '.join(far)}; if you "
+        "know one better, give it a smaller tolerance in the vehicle file"
+    ]
 
 
 def verdict(result: Trace) -> str:

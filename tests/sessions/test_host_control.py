@@ -390,8 +390,10 @@ def test_flight_by_a_controller_is_predicted_from_its_inputs_and_repeats_only_it
     assert drive_of([by_law]) == "reference"
     assert drive_of([by_law, by_controller]) == "inputs"
     for flight, without_law in ((by_law, False), (by_controller, True)):
-        codes = {finding.code for finding in audit(FlightData.of(flight)).findings}
-        assert (Code.NO_REFERENCE in codes) == without_law
+        findings = {finding.code: finding for finding in audit(FlightData.of(flight)).findings}
+        assert (Code.NO_REFERENCE in findings) == without_law
+        if without_law:
+            assert findings[Code.NO_REFERENCE].subject == ("host-control",)
     assert by_controller.host_control is not None
     other = dataclasses.replace(by_controller.host_control, settings_id="ba9876543210")
     again = dataclasses.replace(by_controller, host_control=other)

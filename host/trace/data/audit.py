@@ -203,6 +203,13 @@ def _saturation(s: Signals) -> list[UnusedStretch]:
     ]
 
 
+def _obstacle(flight: Flight) -> str:
+    """Return why reference and law on board do not explain a flight, a key of NO_REFERENCE's words."""
+    if flight.host_control is not None:
+        return "host-control"
+    return "reference" if flight.reference is None else "control-law"
+
+
 def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
     """Return findings on missing topics and on their sampling and rates."""
     log = flight.path.name
@@ -211,7 +218,7 @@ def _sampling(flight: Flight, rates: Sequence[Rate]) -> list[Finding]:
     if not has_inputs:
         findings.append(Finding(code=Code.NO_INPUTS, log=log))
     if not flight.flown_by_own_law:
-        findings.append(Finding(code=Code.NO_REFERENCE, log=log))
+        findings.append(Finding(code=Code.NO_REFERENCE, subject=(_obstacle(flight),), log=log))
     if flight.control is None and (flight.recorded_imu is None or flight.recorded_imu.gyro is None):
         findings.append(Finding(code=Code.NO_GYRO, log=log))
     lag_s = flight.vehicle.motor_lag_s

@@ -108,7 +108,7 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
         (Finding(code=Code.HIDDEN, value=1.2, bound=4.2, unit="sigma", subject=("lag",)), ["lag"]),
         (Finding(code=Code.NO_REPEAT, log="a"), ["no repeat flight", "reference"]),
         (Finding(code=Code.NO_INPUTS, log="a"), ["no inputs"]),
-        (Finding(code=Code.NO_REFERENCE, log="a"), ["no reference"]),
+        (Finding(code=Code.NO_REFERENCE, log="a", subject=("reference",)), ["no reference recorded:"]),
         (Finding(code=Code.NO_GYRO, log="a"), ["no gyro"]),
         (Finding(code=Code.SAMPLED_COMMANDS, log="a"), ["sampled commands"]),
         (
