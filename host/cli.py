@@ -142,6 +142,18 @@ VERBS = (
         help="Describe, recover or export a flight log.",
     ),
     Verb(
+        name="predict",
+        module="predict",
+        page="guide/compare.md",
+        help="Tell how well a model predicts flights.",
+    ),
+    Verb(
+        name="compare",
+        module="compare",
+        page="guide/compare.md",
+        help="Compare two logs, models, plans or folders of them.",
+    ),
+    Verb(
         name="show",
         module="show",
         page="guide/show.md",

@@ -5,7 +5,6 @@ Only headers, metadata and records are read: no flight is decoded and no weights
 
 from __future__ import annotations
 
-import datetime
 import json
 import shlex
 import tomllib
@@ -17,7 +16,14 @@ from typing import Any, Literal
 from trimtab.host.base.artefacts import content_id, public_command, record_path
 from trimtab.host.base.errors import UsageError
 from trimtab.host.log.heading import read_heading
-from trimtab.host.log.provenance import HOST_CONTROL, PROVENANCE, Origin, origin_of
+from trimtab.host.log.provenance import (
+    HOST_CONTROL,
+    PROVENANCE,
+    Origin,
+    date_text,
+    origin_of,
+    utc_date,
+)
 from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.route.files import list_routes, parse_route
 from trimtab.host.vehicle import list_vehicles
@@ -42,8 +48,6 @@ _LOG_PARENTS = {
     "topics_id": "topic map",
 }
 """Entries of a log's metadata that name a parent, and its role."""
-_EPOCH_MIN_US = 946_684_800_000_000
-"""The year 2000. An earlier `epoch_us` counts from the start of a clock, not from 1970."""
 
 
 class LineageError(UsageError):
@@ -107,7 +111,7 @@ def _log(path: Path) -> Artefact:
         command=command,
         origin=origin,
         port=None if command is None or origin != "port" else _option(command, "--port"),
-        date=_date(entries.get("epoch_us")) if origin == "imported" else None,
+        date=date_text(utc_date(entries)) if origin == "imported" else None,
     )
 
 
@@ -236,17 +240,6 @@ def _option(command: str, name: str) -> str | None:
         if option == name:
             return inline if joined else value
     return None
-
-
-def _date(epoch_us: str | None) -> str | None:
-    """Return the UTC date and time of microseconds since 1970; None for a clock that counts otherwise."""
-    if epoch_us is None or not epoch_us.isdigit() or int(epoch_us) < _EPOCH_MIN_US:
-        return None
-    try:
-        moment = datetime.datetime.fromtimestamp(int(epoch_us) // 1_000_000, datetime.UTC)
-    except (OverflowError, ValueError, OSError):
-        return None
-    return moment.strftime("%Y-%m-%dT%H:%M:%SZ")
 
 
 def _object(path: Path) -> Mapping[str, Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import datetime
 import shlex
 from collections.abc import Mapping
 from dataclasses import dataclass, field
@@ -26,6 +27,8 @@ VEHICLE_FILE = "vehicle.toml"
 REFERENCE_FILE = "flown.ref"
 FEEDFORWARD_FILE = "flown.ff"
 THEN_FILE = "then.ref"
+_EPOCH_MIN_US = 946_684_800_000_000
+"""The year 2000. An earlier `epoch_us` counts from the start of a clock, not from 1970."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,3 +95,22 @@ def origin_of(metadata: Mapping[str, str]) -> Origin | None:
 def is_simulated(metadata: Mapping[str, str]) -> bool | None:
     """Return True if the vehicle of a log was simulated; None where that is not known."""
     return True if origin_of(metadata) == "simulated" else None
+
+
+def utc_date(metadata: Mapping[str, str]) -> datetime.datetime | None:
+    """Return the UTC date and time of a log's first sample, to the second, from its `trimtab` record.
+
+    None if the log has no date, or one of a clock that does not count from 1970.
+    """
+    epoch_us = metadata.get("epoch_us", "")
+    if not epoch_us.isdigit() or int(epoch_us) < _EPOCH_MIN_US:
+        return None
+    try:
+        return datetime.datetime.fromtimestamp(int(epoch_us) // 1_000_000, datetime.UTC)
+    except (OverflowError, ValueError, OSError):
+        return None
+
+
+def date_text(date: datetime.datetime | None) -> str | None:
+    """Return a UTC date and time as text for JSON and the terminal; None for None."""
+    return None if date is None else date.strftime("%Y-%m-%dT%H:%M:%SZ")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -45,14 +46,36 @@ def read_course(path: Path | str, reference_id: str) -> tuple[Route, tuple[float
     None if that file is missing, damaged or of another reference, or holds no route.
     """
     try:
-        record = json.loads(artefacts.record_path(Path(path)).read_text(encoding="utf-8"))
-        if record["reference"] != reference_id:
-            return None
+        record = _record(path, reference_id)
         route = Route.model_validate_json(json.dumps(record["route"]))
         times_s = tuple(map(float, record["plan"]["waypoint_times_s"]))
     except (OSError, ValueError, KeyError, TypeError):
         return None
     return (route, times_s) if len(times_s) == len(route.waypoints_m) else None
+
+
+def read_predicted_error_m(path: Path | str, reference_id: str) -> float | None:
+    """Return the greatest tracking error, m, that its model predicted for the plan in `path`.
+
+    From `NAME.ref.json`. None if that file is missing, damaged or of another reference, or if the plan was
+    made without a model.
+    """
+    try:
+        record = _record(path, reference_id)
+        if "model" not in record["provenance"]["parents"]:
+            return None
+        error_m = float(record["plan"]["predicted_error_max_m"])
+    except (OSError, ValueError, KeyError, TypeError):
+        return None
+    return error_m if math.isfinite(error_m) else None
+
+
+def _record(path: Path | str, reference_id: str) -> Any:
+    """Return the content of `NAME.ref.json`. Raises OSError, ValueError, KeyError or TypeError."""
+    record = json.loads(artefacts.record_path(Path(path)).read_text(encoding="utf-8"))
+    if record["reference"] != reference_id:
+        raise ValueError(f"{path}: the record is of another reference")
+    return record
 
 
 def figures(plan: Plan) -> dict[str, Any]:

@@ -93,7 +93,7 @@ def read_content(inputs: Sequence[Path], space: Workspace, vehicle: Vehicle | No
         if course is not None:
             scene[course[0].id] = course
         route = None if course is None else course[0]
-        craft = _vehicle_of(reference, vehicle, [s.flight.vehicle for _, s in shown], space)
+        craft = vehicle_of(reference, vehicle, [s.flight.vehicle for _, s in shown], space)
         plans.append(plan_facts(reference, path, craft, route))
         tracks.append(plan_track(reference, craft, route, path.name, step_us))
     return Content(
@@ -165,7 +165,7 @@ def _course_of(reference_id: str | None, folders: Sequence[Path]) -> Course | No
     return None
 
 
-def _vehicle_of(
+def vehicle_of(
     reference: Reference, vehicle: Vehicle | None, flown: Sequence[Vehicle], space: Workspace
 ) -> Vehicle | None:
     """Return the vehicle of a reference: as named, of a log beside it, or found by its id; else None.

@@ -22,6 +22,10 @@ from trimtab.host.trace.evidence import Prior
 from trimtab.host.vehicle import Vehicle
 
 
+class RollOutDiverged(UsageError):
+    """A roll-out of segments diverges."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Column:
     """One scaled parameter.
@@ -152,7 +156,7 @@ class ParameterSpace:
         return np.clip(theta_scaled, *self.bounds)
 
     def check_finite(self, sizes: Annotated[np.ndarray, "columns"]) -> None:
-        """Raise UsageError if roll-outs diverge; it names the parameter, or the effects with states.
+        """Raise RollOutDiverged if roll-outs diverge; it names the parameter, or the effects with states.
 
         sizes: norm of the residual, then of the slope of each parameter.
         """
@@ -164,7 +168,7 @@ class ParameterSpace:
             cause = ", ".join(suspects)
         else:
             cause = f"{self.columns[bad[0] - 1].owner}.{self.columns[bad[0] - 1].key}"
-        raise UsageError(
+        raise RollOutDiverged(
             f"the model with {cause} diverges on these flights; leave out one log at a time to find wrong "
             "values, or bound what the functions of your own effect file return"
         )

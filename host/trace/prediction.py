@@ -20,6 +20,7 @@ from trimtab.host.effects import Effect
 from trimtab.host.log.errors import TooLittleData
 from trimtab.host.models.airframe import Part
 from trimtab.host.models.model import Model
+from trimtab.host.models.network import Network
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
@@ -91,15 +92,16 @@ def motion(
 def predict_flights(
     flights: Sequence[FlightData], model: Model | None, effects: Mapping[str, Effect], *, jobs: int = 1
 ) -> tuple[Errors, ...]:
-    """Return the errors of whole flights, predicted from their references by phi with the model's effects.
+    """Return the errors of whole flights, predicted from their references by phi with the model.
 
-    model: None for the nominal model. jobs: threads. Flights with the same firmware parameters are rolled out
-    together, _TOGETHER at a time.
+    The model's effects, adjustments and network act. model: None for the nominal model. jobs: threads.
+    Flights with the same firmware parameters are rolled out together, _TOGETHER at a time.
     """
     settings: dict[str, list[int]] = {}
     for index, data in enumerate(flights):
         settings.setdefault(json.dumps(data.flight.firmware_parameters, sort_keys=True), []).append(index)
     parts = [] if model is None else model.parts(effects)
+    network = None if model is None else model.network
     batches = []
     for indices in settings.values():
         first = flights[indices[0]].flight
@@ -112,7 +114,7 @@ def predict_flights(
 
     def predict(batch: tuple[Phi, list[int]]) -> list[Errors]:
         phi, indices = batch
-        return _predict(phi, [flights[index] for index in indices], parts)
+        return _predict(phi, [flights[index] for index in indices], parts, network)
 
     predicted = parallel.each(predict, batches, jobs)
     errors = {
@@ -123,7 +125,9 @@ def predict_flights(
     return tuple(errors[index] for index in range(len(flights)))
 
 
-def _predict(phi: Phi, data: Sequence[FlightData], parts: Sequence[Part]) -> list[Errors]:
+def _predict(
+    phi: Phi, data: Sequence[FlightData], parts: Sequence[Part], network: Network | None
+) -> list[Errors]:
     """Return the errors of flights that all have the firmware parameters of phi."""
     flights = [each.flight for each in data]
     latency = float(latency_of(NUMPY, parts))
@@ -149,6 +153,7 @@ def _predict(phi: Phi, data: Sequence[FlightData], parts: Sequence[Part]) -> lis
         theta=phi.theta(parts),
         step_s=_ROLL_OUT_STEP_S / fine,
         every=fine,
+        network=network,
         compiled=True,
     )
     grid = _ROLL_OUT_STEP_S * np.arange(steps + 1)

@@ -33,6 +33,7 @@ from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORK
 from trimtab.host.apps.paper.planning.summary import summary as planning_summary
 from trimtab.host.apps.paper.tuning.summary import summary as tuning_summary
 from trimtab.host.apps.paper.tuning.table import QUICK
+from trimtab.host.compare.prediction import Drift
 from trimtab.host.link.download import Download
 from trimtab.host.link.upload import UploadResult
 from trimtab.host.log import read_flight
@@ -203,6 +204,34 @@ def test_show_prints_what_the_page_says(
     told = trimtab("show", log, "hop.ref", "known.model.toml", "bad")
     check("show", told)
     assert len(told["notes"]) == 1
+
+
+def test_predict_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], drag_model: str, tmp_path: Path
+) -> None:
+    told = trimtab("predict", drag_model, str(MADE / "a1.mcap"), str(MADE / "b1.mcap"))
+    assert (told["drift"], told["diverged"], told["inactive"]) == (None, [], [])
+    drift = {"slope_m_month": 0.0, "low_m_month": 0.0, "high_m_month": 0.0, "flights": 3, "days": 2.0}
+    check("predict", {**told, "drift": drift})
+    assert Drift(**drift).to_dict() == drift
+    assert trimtab("predict", "nominal", str(MADE / "a1.mcap"))["model_file"] is None
+
+
+def test_compare_prints_what_the_page_says(
+    trimtab: Callable[..., dict[str, Any]], drag_model: str, hop: str, tmp_path: Path
+) -> None:
+    for folder, names in (("one", ("a1", "b1")), ("two", ("a2", "c1"))):
+        (tmp_path / folder).mkdir()
+        for name in names:
+            (tmp_path / folder / f"{name}.mcap").write_bytes((MADE / f"{name}.mcap").read_bytes())
+        trimtab("plan", hop, "-o", f"{folder}/hop.ref")
+        (tmp_path / folder / drag_model).write_bytes((tmp_path / drag_model).read_bytes())
+    model = read_model(drag_model)
+    write_model(replace(model, effects={**model.effects, "wind": {"wx": 1.0}}), "two/b.model.toml")
+    write_model(replace(model, effects={"wind": {"wx": 1.0}}), "one/b.model.toml")
+    trimtab("plan", hop, "-o", "two/more.ref")
+    (tmp_path / "two" / "bad.mcap").write_bytes(b"no log")
+    check("compare", trimtab("compare", "one", "two"))
 
 
 def test_lineage_prints_what_the_page_says(

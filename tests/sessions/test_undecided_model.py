@@ -13,6 +13,7 @@ from trimtab.host.models.file import read_model, write_model
 from trimtab.host.models.model import Assessment
 from trimtab.protocol.blobs import Reference
 
+MADE = Path(__file__).parents[1] / "data"
 Run = Callable[..., tuple[int, dict[str, Any], str]]
 UNDECIDED = Assessment(
     verdict="undecided", probabilities={"linear-drag": 0.6}, held_out_flights=1, before_m=0.05, after_m=0.02
@@ -23,6 +24,7 @@ WORDS = {
     "fly": ("fly", "eight.ref", "--controller", "mpc-neural", "-o", "out.mcap"),
     "learn": ("learn", "eight-0.mcap", "-o", "out.model.toml"),
     "correct": ("correct", "m.model.toml", "-o", "out.ff"),
+    "predict": ("predict", "m.model.toml", str(MADE / "a1.mcap")),
 }
 
 
@@ -39,10 +41,10 @@ def model(drag_model: str, reference: Reference, tmp_path: Path) -> Callable[[As
 
 
 def words_of(verb: str) -> tuple[str, ...]:
-    return WORDS[verb] if verb == "correct" else (*WORDS[verb], "--model", "m.model.toml")
+    return WORDS[verb] if verb in ("correct", "predict") else (*WORDS[verb], "--model", "m.model.toml")
 
 
-@pytest.mark.parametrize("verb", ["plan", "fly", "correct"])
+@pytest.mark.parametrize("verb", ["plan", "fly", "correct", "predict"])
 def test_undecided_model_is_refused_in_one_line_unless_accepted(
     verb: str, model: Any, run_trimtab: Run, tmp_path: Path
 ) -> None:
