@@ -4,9 +4,10 @@ from __future__ import annotations
 
 from trimtab.host.compare.comparison import Comparison
 from trimtab.host.compare.logs import FigureComparison, LogsComparison, Over
-from trimtab.host.compare.models import CHANGED_SDS, ComparedModel, ModelsComparison, ParameterDifference
+from trimtab.host.compare.models import FAR_SDS, ComparedModel, ModelsComparison, ParameterDifference
 from trimtab.host.compare.plans import FIGURES as PLAN_FIGURES
 from trimtab.host.compare.plans import PlansComparison
+from trimtab.host.show.models import SDS
 
 _LOG_WORDS = {
     "error_mean_m": ("tracking error, mean", 1e3, "mm", 1),
@@ -82,11 +83,15 @@ def _figure(figure: FigureComparison, over: Over | None) -> str:
 def _models(models: ModelsComparison) -> list[str]:
     out = [f"models of {models.vehicle}: {models.a.file} and {models.b.file}"]
     out.append(f"  verdict: {_support(models.a)} and {_support(models.b)}")
-    shown = [each for each in models.parameters if each.a_named or each.b_named or each.changed]
+    if any(each.sds is not None for each in models.parameters):
+        out.append(
+            "  +- is two standard deviations (sd); the last number is the difference over the combined sd"
+        )
+    shown = [each for each in models.parameters if each.a_named or each.b_named or each.far]
     out += [f"  {_parameter(each)}" for each in shown]
     if len(shown) < len(models.parameters):
         others = len(models.parameters) - len(shown)
-        out.append(f"  {others} adjustments: not changed by more than {CHANGED_SDS:g} sd, or without an sd")
+        out.append(f"  {others} further adjustments: not more than {FAR_SDS:g} sd apart, or without an sd")
     for side, names in (("A", models.a_only), ("B", models.b_only)):
         out += [f"  named only in {side}: {name}" for name in names]
     if models.networks in _NETWORKS:
@@ -110,7 +115,7 @@ def _support(model: ComparedModel) -> str:
 def _parameter(parameter: ParameterDifference) -> str:
     unit = "" if parameter.unit in (None, "1") else f" {parameter.unit}"
     values = [
-        f"{value:.4g}" + ("" if sd is None else f" +- {sd:.2g}")
+        f"{value:.4g}" + ("" if sd is None else f" +- {SDS * sd:.2g}")
         for value, sd in ((parameter.a, parameter.a_sd), (parameter.b, parameter.b_sd))
     ]
     adjusted = "" if parameter.a_named or parameter.b_named else " (adjustment)"
@@ -118,7 +123,7 @@ def _parameter(parameter: ParameterDifference) -> str:
     text += f"difference {parameter.difference:+.3g}"
     if parameter.sds is None:
         return f"{text}; a file states no uncertainty"
-    return f"{text}, {parameter.sds:+.1f} sd{', changed' if parameter.changed else ''}"
+    return f"{text}, {parameter.sds:+.1f} sd"
 
 
 def _plans(plans: PlansComparison) -> list[str]:

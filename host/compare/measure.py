@@ -75,11 +75,10 @@ def _segment_errors(
     """Return the errors of the flights, predicted together; None for one on which a roll-out diverges."""
 
     def together(chosen: Sequence[FlightData]) -> tuple[Errors, ...] | None:
-        with np.errstate(over="ignore", invalid="ignore"):
-            try:
-                return predict_segments(chosen, segment_model, theta_scaled)
-            except RollOutDiverged:
-                return None
+        try:
+            return predict_segments(chosen, segment_model, theta_scaled)
+        except RollOutDiverged:
+            return None
 
     errors = together(flights)
     if errors is not None:

@@ -12,8 +12,8 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import Effect
 from trimtab.host.models.model import NUISANCES, Model, network_digest
 
-CHANGED_SDS = 2.0
-"""Combined standard deviations beyond which a parameter counts as changed."""
+FAR_SDS = 2.0
+"""Combined standard deviations beyond which two values of a parameter are far apart."""
 
 Networks = Literal["none", "same", "different", "only-a", "only-b"]
 
@@ -49,13 +49,13 @@ class ParameterDifference:
         return self.difference / math.hypot(self.a_sd, self.b_sd)
 
     @property
-    def changed(self) -> bool | None:
-        """Whether the values differ by more than CHANGED_SDS; None if that is not known."""
-        return None if self.sds is None else abs(self.sds) > CHANGED_SDS
+    def far(self) -> bool | None:
+        """Whether the values differ by more than FAR_SDS; None if that is not known."""
+        return None if self.sds is None else abs(self.sds) > FAR_SDS
 
     def to_dict(self) -> dict[str, Any]:
         """Return the parameter as plain data for JSON."""
-        return {**vars(self), "difference": self.difference, "sds": self.sds, "changed": self.changed}
+        return {**vars(self), "difference": self.difference, "sds": self.sds, "far": self.far}
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -175,11 +175,16 @@ def test_parameter_differs_by_its_combined_standard_deviation(tmp_path: Path) ->
     (drag,) = found.parameters
     assert drag.difference == pytest.approx(0.05)
     assert drag.sds == pytest.approx(1.0)
-    assert drag.changed is False
+    assert drag.far is False
     assert drag.unit == "1/s"
+    result = models(tmp_path, model(0.40, 0.03), model(0.45, 0.04))
+    shown = (
+        "  linear-drag.dx: 0.4 +- 0.06 and 0.45 +- 0.08 1/s, difference +0.05, +1.0 sd"  # two sd, as trace
+    )
+    assert shown in lines(result)
     (found,) = models(tmp_path, model(0.40, 0.03), model(0.60, 0.04)).models
     assert found.parameters[0].sds == pytest.approx(4.0)
-    assert found.parameters[0].changed is True
+    assert found.parameters[0].far is True
 
 
 @pytest.mark.parametrize(("first", "second"), [(None, 0.1), (0.1, None), (0.0, 0.0)])
@@ -188,7 +193,7 @@ def test_parameter_without_uncertainty_is_not_judged(
 ) -> None:
     result = models(tmp_path, model(0.40, first), model(0.60, second))
     drag = result.models[0].parameters[0]
-    assert (drag.sds, drag.changed) == (None, None)
+    assert (drag.sds, drag.far) == (None, None)
     assert any("+0.2; a file states no uncertainty" in line for line in lines(result))
 
 

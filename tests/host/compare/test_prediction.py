@@ -107,6 +107,7 @@ def test_diverging_model_counts_on_every_flight_by_name(flights: list[Flight]) -
     assert "diverges on 2 of 2" in text
 
 
+@pytest.mark.filterwarnings("ignore:overflow encountered:RuntimeWarning")
 def test_diverging_predictions_from_inputs_count_and_leave_the_others(tmp_path: Path) -> None:
     moving = swinging(tmp_path / "moving.mcap")
     t_us = np.arange(0, 16_000_000, 10_000)
