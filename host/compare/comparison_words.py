@@ -58,7 +58,8 @@ def _logs(logs: LogsComparison) -> list[str]:
         change = f"{1e3 * a:.1f} and {1e3 * b:.1f} mm"
         out.append(f"  reference {pair.reference}, {flights}: tracking error {change} RMSE")
     if not logs.pairs:
-        out.append("no reference in common: the means below are over all flights, and not paired")
+        means = ": the means below are over all flights, and not paired" if logs.figures else ""
+        out.append(f"no reference in common, so no difference{means}")
     out += [_figure(figure, logs.over) for figure in logs.figures]
     for side, names in (("A", logs.a_only), ("B", logs.b_only)):
         if names:

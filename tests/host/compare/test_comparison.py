@@ -109,6 +109,10 @@ def test_without_a_common_reference_there_are_means_and_no_difference() -> None:
     assert found.over is None
     assert [(figure.a, figure.b, figure.difference) for figure in found.figures][:1] == [(0.2, 0.2, None)]
     assert (found.a_only, found.b_only) == (("a", "b"), ("c",))
+    result = Comparison(a="a", b="b", logs=found, models=(), plans=(), unpaired=(), notes=())
+    assert "no reference in common, so no difference: the means below" in "\n".join(lines(result))
+    nothing = replace(result, logs=compare_logs([flown("a", None, 0.1)], []))
+    assert "no reference in common, so no difference" in lines(nothing)
 
 
 def test_figure_that_one_flight_lacks_is_of_the_other_pairs() -> None:
