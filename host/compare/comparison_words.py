@@ -84,7 +84,8 @@ def _figure(figure: FigureComparison, over: Over | None) -> str:
 def _models(models: ModelsComparison) -> list[str]:
     out = [f"models of {models.vehicle}: {models.a.file} and {models.b.file}"]
     out.append(f"  verdict: {_support(models.a)} and {_support(models.b)}")
-    if any(each.sds is not None for each in models.parameters):
+    judged = any(each.sds is not None for each in models.parameters)
+    if judged:
         out.append(
             "  +- is two standard deviations (sd); the last number is the difference over the combined sd"
         )
@@ -97,7 +98,7 @@ def _models(models: ModelsComparison) -> list[str]:
         out += [f"  named only in {side}: {name}" for name in names]
     if models.networks in _NETWORKS:
         out.append(f"  {_NETWORKS[models.networks]}")
-    if models.shared_logs:
+    if judged and models.shared_logs:
         out.append(
             f"  {models.shared_logs} common logs are behind both: the values are not independent, and the "
             "combined sd is too large"
