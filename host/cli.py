@@ -139,7 +139,7 @@ VERBS = (
         name="log",
         module="log",
         page="reference/flight-log.md",
-        help="Describe, recover or export a flight log.",
+        help="Describe, recover, export or view a flight log.",
     ),
     Verb(
         name="predict",

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Sequence
+from math import cos, sin
 from typing import Any, cast
 
 import numpy as np
@@ -14,6 +15,7 @@ from trimtab.host.link.control_stream import StepRecord
 from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.link_counts import LinkCounts
 from trimtab.host.log import LogWriter, topics
+from trimtab.host.log.display import PERIOD_US
 from trimtab.host.log.provenance import HOST_CONTROL
 from trimtab.host.log.tracking import reference_at
 from trimtab.host.log.writer import Stamps
@@ -30,8 +32,6 @@ from trimtab.protocol.telemetry import (
 )
 
 LINK_US = 100_000
-DISPLAY_EVERY = 5
-"""One in this many poses and references is also written for display."""
 _AGE_UNKNOWN_US = 6_553_500
 _FLOWN = (mavlink.TRIMTAB_STATE_TRACKING, mavlink.TRIMTAB_STATE_HOLD)
 _OFFBOARD = mavlink.TRIMTAB_STATE_OFFBOARD
@@ -68,8 +68,8 @@ class Recorder:
         self._first = self._flown = _FlownReference(reference)
         self._then = None if then is None else _FlownReference(then)
         self._control_start_us: int | None = None
-        self._poses = 0
         self._counts = LinkCounts(client)
+        log.display.reference_path(0, self._first.path())
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.FcControl: self._control,
             m.FcEstimate: self._estimate,
@@ -93,9 +93,7 @@ class Recorder:
         log_us = now_us - self._arm_us
         p = (message.x, message.y, message.z)
         self._log.pose(Stamps(log_us, publish_us, source_us), vehicle_us, p, message.q)
-        self._poses += 1
-        if self._poses % DISPLAY_EVERY == 0:
-            self._log.display(topics.DISPLAY_POSE, log_us, publish_us, p, message.q)
+        self._log.display.pose(log_us, publish_us, p, message.q)
 
     def link(self, now_us: int) -> None:
         """Log the state of the link if it is due."""
@@ -192,9 +190,14 @@ class Recorder:
         )
         then = self._then
         if then is not None and then.start_tick is not None and message.tick >= then.start_tick:
+            if self._flown is not then:
+                self._log.display.reference_path(log_us, then.path())
             self._flown = then
-        for tick, reference_us, flat in self._flown.at(message.tick):
+        rows = self._flown.at(message.tick)
+        for tick, reference_us, flat in rows:
             self._reference(log_us, tick, reference_us, flat)
+        if rows and means is not None:
+            self._log.display.residual(log_us, publish_us, interval_us, means)
 
     def _observe(self, message: m.FcObserver, log_us: int) -> None:
         self._observer = message  # logged with the control message of the same tick, which follows
@@ -206,13 +209,9 @@ class Recorder:
     def _reference(self, log_us: int, tick: int, reference_us: int, flat: Sequence[float]) -> None:
         source_us = tick * TICK_US
         publish_us = self._publish_us(source_us)
-        flown = self._flown
-        self._log.reference(Stamps(log_us, publish_us, source_us), flown.id, reference_us, flat)
-        flown.written += 1
-        if flown.written % DISPLAY_EVERY == 0:
-            half = 0.5 * flat[12]
-            heading = (float(np.cos(half)), 0.0, 0.0, float(np.sin(half)))
-            self._log.display(topics.DISPLAY_REFERENCE, log_us, publish_us, flat[0:3], heading)
+        self._log.reference(Stamps(log_us, publish_us, source_us), self._flown.id, reference_us, flat)
+        half = 0.5 * flat[12]
+        self._log.display.reference(log_us, publish_us, flat[0:3], (cos(half), 0.0, 0.0, sin(half)))
 
     def _estimate(self, message: m.FcEstimate, log_us: int) -> None:
         tick = message.tick
@@ -283,7 +282,7 @@ class _FlownReference:
     """Flat outputs of a reference at the ticks of control messages.
 
     Control messages come every STEP_TICKS ticks, so one table for each phase of that step covers nearly all
-    of them. Ticks that arrive before the start tick is known wait for it. `written` counts the rows logged.
+    of them. Ticks that arrive before the start tick is known wait for it.
     """
 
     STEP_TICKS = 10
@@ -292,10 +291,14 @@ class _FlownReference:
     def __init__(self, reference: Reference) -> None:
         self.id = reference.id
         self.start_tick: int | None = None
-        self.written = 0
         self._reference = reference
         self._waiting: deque[int] = deque(maxlen=self.WAITING)
         self._tables: dict[int, list[list[float]]] = {}
+
+    def path(self) -> list[list[float]]:
+        """Return the positions of the whole reference as a viewer draws it, NED."""
+        t_us = np.arange(0, self._reference.duration_us + PERIOD_US, PERIOD_US)
+        return reference_at(self._reference, t_us)[:, :3].tolist()
 
     def at(self, tick: int) -> list[tuple[int, int, Sequence[float]]]:
         """Return (tick, us since the start, flat outputs) of this tick and of the ticks that waited."""

@@ -10,9 +10,13 @@ from typing import Any
 
 from trimtab.host.log.flight import scan_closed
 from trimtab.host.log.scan import Entry
-from trimtab.host.log.topics import CONTROLLED_TOPICS, IMPORTED_TOPICS
+from trimtab.host.log.topics import CONTROLLED_TOPICS, DISPLAY_PREFIX, IMPORTED_TOPICS
 
-_KINDS = {topic.name: topic.message for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS)}
+_KINDS = {
+    topic.name: topic.message
+    for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS)
+    if not topic.name.startswith(DISPLAY_PREFIX)
+}
 
 
 def file_name(topic: str) -> str:
@@ -25,7 +29,7 @@ TABLES = tuple(sorted(map(file_name, _KINDS)))
 
 
 def csv_tables(log: Path) -> dict[str, tuple[int, str]]:
-    """Return (number of rows, text) by file name. Topics without messages are left out.
+    """Return (number of rows, text) by file name, without topics for viewers and topics without messages.
 
     The columns are log_time_us, publish_time_us (from arm), then the fields of the message. A field with
     several numbers has the columns name_0, name_1, ... Raises LogError if the log cannot be read.

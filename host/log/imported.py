@@ -9,13 +9,12 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.log import topics
+from trimtab.host.log.display import PERIOD_US
 from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.tracks import Battery, Mocap, RecordedImu, RecordedInputs
 from trimtab.host.log.writer import LogWriter
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.generated import flight_pb2
-
-DISPLAY_INTERVAL_US = 50_000
 
 _Row = tuple[int, int, str, Any]
 """Log time, publish time (us), topic and message."""
@@ -48,18 +47,20 @@ def write_imported(
     if inputs is not None:
         metadata["input_level"] = inputs.level
     rows = [*_poses(mocap), *_inputs(inputs), *_imu(imu), *_battery(battery)]
-    counts: dict[str, int] = {}
     provenance = Provenance(vehicle=vehicle, kind="imported", session=metadata)
-    shown_us = -DISPLAY_INTERVAL_US
     with LogWriter(path, provenance, topics.IMPORTED_TOPICS) as writer:
+        if inputs is not None and inputs.p_ref is not None:
+            writer.display.reference_path(0, inputs.p_ref[_every(PERIOD_US, inputs.t_us)].tolist())
         for log_us, publish_us, topic, message in sorted(rows, key=lambda row: row[0]):
             writer.write(topic, message, log_us, publish_us)
-            counts[topic] = counts.get(topic, 0) + 1
-            if topic == topics.MOCAP_POSE and publish_us >= shown_us + DISPLAY_INTERVAL_US:
-                shown_us = publish_us
-                writer.display(topics.DISPLAY_POSE, log_us, publish_us, message.p_ned_m, message.q_ned_frd)
-                counts[topics.DISPLAY_POSE] = counts.get(topics.DISPLAY_POSE, 0) + 1
-    return counts
+            if topic == topics.MOCAP_POSE:
+                writer.display.pose(log_us, publish_us, message.p_ned_m, message.q_ned_frd)
+    return writer.counts()
+
+
+def _every(period_us: int, t_us: np.ndarray) -> np.ndarray:
+    """Return the index of the first sample in each period."""
+    return np.unique(t_us // period_us, return_index=True)[1]
 
 
 def _poses(mocap: Mocap) -> Iterator[_Row]:

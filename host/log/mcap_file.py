@@ -67,7 +67,8 @@ class _Written:
 class McapFile:
     """An MCAP file that is being written to `sink`.
 
-    Attachments must come before the first message. A full chunk is written in one piece.
+    Attachments must come before the first message. A full chunk is written in one piece. `counts` holds the
+    number of messages of each channel in the chunks written.
     """
 
     def __init__(self, sink: Sink, library: str = "trimtab") -> None:
@@ -76,7 +77,7 @@ class McapFile:
         self._written = _Written(schemas=[], channels=[], chunks=[], attachments=[], metadata=[])
         self._chunk = bytearray()
         self._index: defaultdict[int, list[int]] = defaultdict(list)  # times and offsets in turn, by channel
-        self._counts: dict[int, int] = {}
+        self.counts: dict[int, int] = {}
         self._first_ns: int | None = None
         self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor()
@@ -128,7 +129,7 @@ class McapFile:
         )
         self._written.channels.append(channel)
         self._chunk += _bytes(channel)
-        self._counts[number] = 0
+        self.counts[number] = 0
         return number
 
     def add_message(self, channel: int, log_us: int, publish_us: int, data: bytes, sequence: int = 0) -> None:
@@ -159,7 +160,7 @@ class McapFile:
         """Return the summary section that begins at `start`, and the offset of each of its groups."""
         written = self._written
         statistics = Statistics(
-            message_count=sum(self._counts.values()),
+            message_count=sum(self.counts.values()),
             schema_count=len(written.schemas),
             channel_count=len(written.channels),
             attachment_count=len(written.attachments),
@@ -167,7 +168,7 @@ class McapFile:
             chunk_count=len(written.chunks),
             message_start_time=self._first_ns or 0,
             message_end_time=self._last_ns,
-            channel_message_counts={number: count for number, count in self._counts.items() if count},
+            channel_message_counts={number: count for number, count in self.counts.items() if count},
         )
         groups: list[tuple[int, list[McapRecord]]] = [
             (Opcode.SCHEMA, [*written.schemas]),
@@ -206,7 +207,7 @@ class McapFile:
         )
         index, offsets = b"", {}
         for channel, entries in self._index.items():
-            self._counts[channel] += len(entries) // 2
+            self.counts[channel] += len(entries) // 2
             offsets[channel] = self._size + len(chunk) + len(index)
             size = 8 * len(entries)
             head = _INDEX_HEAD.pack(Opcode.MESSAGE_INDEX, _INDEX_HEAD_BYTES + size, channel, size)

@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from foxglove_schemas_protobuf.FrameTransform_pb2 import FrameTransform
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
+from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
+from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
 from trimtab.protocol.generated import flight_pb2, host_control_pb2
@@ -18,8 +21,15 @@ REFERENCE = "/reference"
 HOST_CONTROL = "/host/control"
 LINK = "/link"
 LOG = "/log"
+DISPLAY_PREFIX = "/display/"
+"""Of the topics for viewers. They repeat what other topics hold."""
+DISPLAY_WORLD = "/display/world"
 DISPLAY_POSE = "/display/pose"
+DISPLAY_VEHICLE = "/display/vehicle"
+DISPLAY_PATH = "/display/path"
 DISPLAY_REFERENCE = "/display/reference"
+DISPLAY_REFERENCE_PATH = "/display/reference_path"
+DISPLAY_RESIDUAL = "/display/residual"
 RECORDED_INPUTS = "/recorded/inputs"
 RECORDED_IMU = "/recorded/imu"
 RECORDED_BATTERY = "/recorded/battery"
@@ -41,6 +51,45 @@ class Topic:
         entries = {"sampling": self.sampling, "rate": self.rate, "content": self.content}
         return entries | {"averaged": " ".join(self.averaged)} if self.averaged else entries
 
+
+_SHOWN_TOPICS: tuple[Topic, ...] = (
+    Topic(
+        name=DISPLAY_WORLD,
+        message=FrameTransform,
+        sampling="event",
+        rate="once",
+        content="place of NED in the frame of viewers: x east, y north, z up",
+    ),
+    Topic(
+        name=DISPLAY_VEHICLE,
+        message=SceneUpdate,
+        sampling="event",
+        rate="once",
+        content="arms and rotors of the vehicle file, in the body frame",
+    ),
+    Topic(
+        name=DISPLAY_POSE,
+        message=FrameTransform,
+        sampling="sampled",
+        rate="20 Hz",
+        content="the mocap pose: place of the body frame in NED",
+    ),
+    Topic(
+        name=DISPLAY_PATH,
+        message=PosesInFrame,
+        sampling="event",
+        rate="once",
+        content="positions of /display/pose, NED; written when the log is closed, with the log's first time",
+    ),
+    Topic(
+        name=DISPLAY_REFERENCE_PATH,
+        message=PosesInFrame,
+        sampling="event",
+        rate="once, and when another reference takes over",
+        content="positions of the whole reference every 50 ms, NED",
+    ),
+)
+"""What viewers draw of every log."""
 
 FLIGHT_TOPICS: tuple[Topic, ...] = (
     Topic(
@@ -87,19 +136,21 @@ FLIGHT_TOPICS: tuple[Topic, ...] = (
         content="frames sent, lost and repeated, round trip, clock offsets",
     ),
     Topic(name=LOG, message=Log, sampling="event", rate="events", content="text"),
-    Topic(
-        name=DISPLAY_POSE,
-        message=PoseInFrame,
-        sampling="sampled",
-        rate="20 Hz",
-        content="the mocap pose for display: x east, y north, z up; body x forward, y left, z up",
-    ),
+    *_SHOWN_TOPICS,
     Topic(
         name=DISPLAY_REFERENCE,
         message=PoseInFrame,
         sampling="sampled",
         rate="20 Hz",
-        content="the reference for display: x east, y north, z up; heading only",
+        content="the reference now, NED; heading only",
+    ),
+    Topic(
+        name=DISPLAY_RESIDUAL,
+        message=SceneUpdate,
+        sampling="averaged",
+        rate="20 Hz",
+        averaged=("entities.arrows",),
+        content="specific force that the nominal model does not predict, mean since the last; 1 m is 1 m/s^2",
     ),
 )
 """Topics of a flight's log."""
@@ -140,6 +191,6 @@ IMPORTED_TOPICS: tuple[Topic, ...] = (
         content="battery voltage",
     ),
     FLIGHT_TOPICS[6],
-    FLIGHT_TOPICS[7],
+    *_SHOWN_TOPICS,
 )
 """Topics of an imported log."""

@@ -12,17 +12,16 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from io import RawIOBase
-from math import sqrt
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, cast
 
 from foxglove_schemas_protobuf.Log_pb2 import Log
-from foxglove_schemas_protobuf.PoseInFrame_pb2 import PoseInFrame
 from mcap_protobuf.schema import build_file_descriptor_set
 
 from trimtab.host.base.text import readable
 from trimtab.host.log import topics
+from trimtab.host.log.display import Display, stamp
 from trimtab.host.log.errors import LogError
 from trimtab.host.log.file_time import LAST_US
 from trimtab.host.log.mcap_file import McapFile, Sink
@@ -37,9 +36,6 @@ from trimtab.host.log.provenance import (
 )
 from trimtab.host.log.topics import Topic
 from trimtab.protocol.generated import flight_pb2
-
-DISPLAY_FRAME = "world_enu"
-_HALF = sqrt(0.5)
 
 
 def partial_path(path: Path) -> Path:
@@ -89,7 +85,7 @@ class LogWriter:
     LogError if the file cannot be written; the part written so far then stays under `NAME.part`.
 
     The methods named after topics take the stamps and then the topic's values. They return False if a time
-    lies before arming. Message objects are reused.
+    lies before arming. Message objects are reused. `display` writes what viewers draw.
     """
 
     def __init__(
@@ -119,8 +115,10 @@ class LogWriter:
             self._discard()
             raise
         self._add = self._mcap.add_message
+        self._schemas: dict[str, int] = {}
         self._channels = {topic.name: self._register(topic) for topic in channels}
         self._messages = _Messages()
+        self.display = Display(self._write_shown, provenance.vehicle)
 
     def _write_provenance(self, provenance: Provenance) -> None:
         self._mcap.add_metadata(PROVENANCE, provenance.metadata())
@@ -137,10 +135,11 @@ class LogWriter:
             attach(FEEDFORWARD_FILE, "application/octet-stream", provenance.feedforward)
 
     def _register(self, topic: Topic) -> int:
-        descriptor = topic.message.DESCRIPTOR
-        described = build_file_descriptor_set(cast(Any, topic.message)).SerializeToString(deterministic=True)
-        schema = self._mcap.add_schema(descriptor.full_name, described)
-        return self._mcap.add_channel(topic.name, schema, topic.metadata())
+        name = topic.message.DESCRIPTOR.full_name
+        if name not in self._schemas:
+            described = build_file_descriptor_set(cast(Any, topic.message))
+            self._schemas[name] = self._mcap.add_schema(name, described.SerializeToString(deterministic=True))
+        return self._mcap.add_channel(topic.name, self._schemas[name], topic.metadata())
 
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
         """Write a message of any topic. If the file cannot hold its times, write nothing and return False."""
@@ -148,6 +147,15 @@ class LogWriter:
             return False
         self._add(self._channels[topic], log_us, publish_us, message.SerializeToString())
         return True
+
+    def _write_shown(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
+        """Write a message of a display topic, unless the log lacks that topic."""
+        return topic in self._channels and self.write(topic, message, log_us, publish_us)
+
+    def counts(self) -> dict[str, int]:
+        """Return the number of messages by topic, of topics with any. Call it after `close`."""
+        counts = self._mcap.counts
+        return {topic: counts[channel] for topic, channel in self._channels.items() if counts[channel]}
 
     def add_metadata(self, name: str, entries: Mapping[str, str]) -> None:
         """Write a metadata record that is known only in flight."""
@@ -243,21 +251,8 @@ class LogWriter:
         message.level = _foxglove_level(severity)
         message.message = readable(text)
         message.name = name
-        _stamp(message.timestamp, max(publish_us, 0))
+        stamp(message.timestamp, publish_us)
         return self.write(topics.LOG, message, log_us, publish_us)
-
-    def display(
-        self, topic: str, log_us: int, publish_us: int, p_ned: Sequence[float], q_ned_frd: Sequence[float]
-    ) -> bool:
-        """Write `/display/...`: the pose in the frame of viewers: east, north, up; body forward, left, up."""
-        message = self._messages.display
-        position, orientation = message.pose.position, message.pose.orientation
-        position.x, position.y, position.z = p_ned[1], p_ned[0], -p_ned[2]
-        w, x, y, z = q_ned_frd
-        orientation.w, orientation.x = _HALF * (w + z), _HALF * (x + y)
-        orientation.y, orientation.z = _HALF * (x - y), _HALF * (w - z)
-        _stamp(message.timestamp, max(publish_us, 0))
-        return self.write(topic, message, log_us, publish_us)
 
     def close(self) -> None:
         """Write index and footer and rename the file. Do nothing after a failed write or a second time."""
@@ -265,13 +260,17 @@ class LogWriter:
             return
         self._closed = True
         if self._file is None or self._sink is None or self.path is None:
-            self._mcap.finish()
+            self._finish()
             return
         with self._file:
             if self._sink.failed is not None:
                 return
-            self._mcap.finish()
+            self._finish()
         partial_path(self.path).replace(self.path)
+
+    def _finish(self) -> None:
+        self.display.finish()
+        self._mcap.finish()
 
     def _discard(self) -> None:
         """Remove the file. A stream stays as it is."""
@@ -301,13 +300,6 @@ class _Messages:
         self.reference = flight_pb2.Reference()
         self.control = flight_pb2.Control()
         self.text = Log()
-        self.display = PoseInFrame(frame_id=DISPLAY_FRAME)
-
-
-def _stamp(timestamp: Any, time_us: int) -> None:
-    """Set a protobuf timestamp to a time from arm."""
-    timestamp.seconds, fraction_us = divmod(time_us, 1_000_000)
-    timestamp.nanos = fraction_us * 1000
 
 
 def _foxglove_level(severity: int) -> Any:

@@ -1,4 +1,4 @@
-"""`trimtab log`: describe, recover or export a flight log."""
+"""`trimtab log`: describe, recover, export or view a flight log."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from cyclopts import App
 
 from trimtab.host.verbs.options import Force, Json, Output
 
-command = App(name="log", help="Describe, recover or export a flight log.")
+command = App(name="log", help="Describe, recover, export or view a flight log.")
 
 
 @command.command
@@ -78,3 +78,22 @@ def export(log: Path, *, output: Output = None, force: Force = False, json: Json
         artefacts.write_atomic(folder / name, text)
         say(f"{folder / name}: {rows} rows")
     emit({"folder": str(folder), "rows": {name: rows for name, (rows, _) in tables.items()}}, json)
+
+
+@command.command
+def layout(*, output: Output = None, force: Force = False, json: Json = False) -> None:
+    """Write a layout for Foxglove: a flight in 3D, plots, states and texts.
+
+    Parameters
+    ----------
+    output
+        File to write. Default: trimtab.foxglove.json.
+    """
+    from trimtab.host.base import artefacts
+    from trimtab.host.base.output import emit, say
+    from trimtab.host.log.display import FOXGLOVE_LAYOUT
+
+    target = output or Path("trimtab.foxglove.json")
+    artefacts.write_atomic(target, FOXGLOVE_LAYOUT.read_bytes(), force)
+    say(f"{target}: import it in Foxglove, then open a flight log there")
+    emit({"layout": str(target)}, json)

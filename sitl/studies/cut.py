@@ -29,7 +29,6 @@ from trimtab.host.log.scan import Entry
 from trimtab.host.vehicle import Vehicle
 
 _Rows = TypeVar("_Rows", Battery, Control, Mocap)
-_FLOWN = (topics.REFERENCE, topics.DISPLAY_REFERENCE)
 _REWRITTEN = ("format", "kind", "time_unit", "vehicle_id", "vehicle_name", "reference_id", "feedforward_id")
 
 
@@ -67,7 +66,11 @@ def without_reference(log: Path, target: Path) -> None:
     records = scan_closed(log)
     flight = to_flight(records)
     session = {key: v for key, v in records.metadata[PROVENANCE].items() if key not in _REWRITTEN}
-    remaining = [topic for topic in topics.FLIGHT_TOPICS if topic.name not in _FLOWN]
+    remaining = [
+        topic
+        for topic in topics.FLIGHT_TOPICS
+        if topic.name != topics.REFERENCE and not topic.name.startswith(topics.DISPLAY_PREFIX)
+    ]
     with LogWriter(target, Provenance(vehicle=flight.vehicle, session=session), remaining) as writer:
         rows: list[tuple[Entry, str]] = []
         for topic in remaining:

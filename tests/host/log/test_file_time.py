@@ -79,7 +79,7 @@ def test_log_lasts_as_long_for_other_readers_as_for_ours(log_path: Path) -> None
     assert summary is not None
     assert summary.statistics is not None
     spanned_ns = summary.statistics.message_end_time - summary.statistics.message_start_time
-    assert spanned_ns * 1e-9 == pytest.approx(describe(log_path)["duration_s"]) == pytest.approx(6.99)
+    assert spanned_ns * 1e-9 == pytest.approx(describe(log_path)["duration_s"]) == pytest.approx(6.994)
     assert describe(log_path)["provenance"]["time_unit"] == "ns"
 
 
@@ -97,7 +97,7 @@ def test_recover_cut_log_of_an_older_version_is_written_in_nanoseconds(
     tmp_path: Path, log_path: Path, old_bytes: bytes
 ) -> None:
     cut = tmp_path / "old.mcap"
-    cut.write_bytes(old_bytes[: len(old_bytes) * 3 // 4])
+    cut.write_bytes(old_bytes[: len(old_bytes) // 2])
     recovery = recover(cut)
     assert recovery.output is not None
     part, whole = read_flight(recovery.output), read_flight(log_path)
@@ -139,5 +139,5 @@ def test_writer_time_beyond_the_format_is_not_logged(provenance: Provenance) -> 
     with LogWriter(stream, provenance) as log:
         assert log.pose(Stamps(3000, LAST_US, 0), 0, (0.0, 0.0, 0.0), q)
         assert not log.pose(Stamps(3000, LAST_US + 1, 0), 0, (0.0, 0.0, 0.0), q)
-    (_, _, message), *others = make_reader(io.BytesIO(stream.getvalue())).iter_messages()
+    (_, _, message), *others = make_reader(io.BytesIO(stream.getvalue())).iter_messages(["/mocap/pose"])
     assert (message.log_time, message.publish_time, others) == (3_000_000, 1000 * LAST_US, [])
