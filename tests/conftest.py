@@ -46,6 +46,11 @@ def _clients() -> str | None:
     return f"{' and '.join(missing)} not installed (requirements-clients.lock)" if missing else None
 
 
+def _node() -> str | None:
+    missing = [name for name in ("node", "npm") if shutil.which(name) is None]
+    return f"{' and '.join(missing)} not on PATH" if missing else None
+
+
 def _pty() -> str | None:
     return None if hasattr(os, "openpty") else "no pseudo-terminals here"
 
@@ -73,7 +78,7 @@ PARTS: dict[str, Callable[[], str | None]] = {
     "generator": _module("grpc_tools", "requirements-all.lock"),
     "git": _program("git"),
     "minsnap": _module("minsnap_trajectories", "requirements-bench.lock"),
-    "node": _program("node"),
+    "node": _node,
     "pty": _pty,
     "rockit": _module("rockit", "requirements-bench.lock"),
     "uv": _program("uv"),
