@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import combinations
-from math import dist, hypot, sqrt
+from math import dist, hypot, isfinite, sqrt
 from pathlib import Path
 from typing import Any
 
@@ -55,7 +55,7 @@ class Display:
 
     def __init__(self, write: Write, vehicle: Vehicle) -> None:
         self._write = write
-        self._due_us: dict[str, int] = {}
+        self._periods: dict[str, int] = {}
         self._path_ned: list[Sequence[float]] = []
         self._transform = FrameTransform(parent_frame_id=NED, child_frame_id=BODY)
         self._reference = PoseInFrame(frame_id=NED)
@@ -67,8 +67,8 @@ class Display:
         write(topics.DISPLAY_VEHICLE, SceneUpdate(entities=[_drawn(vehicle)]), 0, 0)
 
     def pose(self, log_us: int, publish_us: int, p_ned: Sequence[float], q_ned_frd: Sequence[float]) -> None:
-        """Write `/display/pose`: the place of the body frame."""
-        if not self._is_due(topics.DISPLAY_POSE, publish_us):
+        """Write `/display/pose`: the place of the body frame. Leave out a pose that is not finite."""
+        if not (isfinite(sum(p_ned) + sum(q_ned_frd)) and self._is_due(topics.DISPLAY_POSE, publish_us)):
             return
         message = self._transform
         stamp(message.timestamp, publish_us)
@@ -108,10 +108,11 @@ class Display:
             self._write(topics.DISPLAY_PATH, _path(0, self._path_ned), 0, 0)
 
     def _is_due(self, topic: str, publish_us: int) -> bool:
-        """Return whether this is the topic's first message in its period."""
-        if publish_us < self._due_us.get(topic, 0):
+        """Return whether the topic's last message was in another period."""
+        period = publish_us // PERIOD_US
+        if self._periods.get(topic) == period:
             return False
-        self._due_us[topic] = (publish_us // PERIOD_US + 1) * PERIOD_US
+        self._periods[topic] = period
         return True
 
 

@@ -100,6 +100,17 @@ def test_pose_from_before_arm_is_neither_shown_nor_on_the_path(provenance: Prove
     assert set(messages) == {"/display/world", "/display/vehicle"}
 
 
+def test_pose_that_is_wrong_hides_no_other(provenance: Provenance) -> None:
+    def fly(log: LogWriter) -> None:
+        log.display.pose(0, 0, (0.0, math.nan, 0.0), LEVEL)
+        log.display.pose(0, 9_000_000_000, (0.0, 0.0, 0.0), LEVEL)  # stamped in the far future
+        log.display.pose(0, 1000, (1.0, 0.0, 0.0), LEVEL)
+
+    messages = written(provenance, fly)
+    assert [pose.translation.x for _, pose in messages["/display/pose"]] == [0.0, 1.0]
+    assert len(messages["/display/path"][0][1].poses) == 2
+
+
 def test_log_without_display_topics_has_none(provenance: Provenance) -> None:
     stream = io.BytesIO()
     with LogWriter(stream, provenance, ()) as log:
