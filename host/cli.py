@@ -142,6 +142,12 @@ VERBS = (
         help="Describe, recover, export or view a flight log.",
     ),
     Verb(
+        name="watch",
+        module="watch",
+        page="guide/foxglove.md",
+        help="Show a flight while it is flown, in the terminal and in Foxglove.",
+    ),
+    Verb(
         name="predict",
         module="predict",
         page="guide/compare.md",

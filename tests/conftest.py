@@ -82,6 +82,7 @@ PARTS: dict[str, Callable[[], str | None]] = {
     "pty": _pty,
     "rockit": _module("rockit", "requirements-bench.lock"),
     "uv": _program("uv"),
+    "watch": _module("foxglove", "requirements-all.lock"),
 }
 """Parts that a machine may lack: name to a check that returns what is missing, or None."""
 

@@ -85,7 +85,7 @@ EDGES: dict[str, tuple[str, ...]] = {
         "protocol.generate",
         "protocol.generated",
     ),
-    "rich": ("host.base.progress",),
+    "rich": ("host.base.live", "host.base.progress"),
     "rockit": ("host.apps.bench.rockit_ocp",),
     "scipy": ("host", "sitl"),
     "serial": ("host.link.ports",),

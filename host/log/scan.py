@@ -38,6 +38,7 @@ _DAMAGE = (
     zstandard.ZstdError,
     MemoryError,
 )
+_USED = (Opcode.CHUNK, Opcode.METADATA, Opcode.ATTACHMENT, Opcode.FOOTER)
 _RECORD = struct.Struct("<BQ")
 _MESSAGE = struct.Struct("<HIQQ")
 
@@ -185,6 +186,38 @@ def _data_of(chunk: Chunk) -> bytes:
     return data
 
 
+def _framed_record(framed: bytes) -> object:
+    """Return the record in bytes that hold its opcode, its length and its body."""
+    # StreamReader reads them like a file without the magic bytes.
+    return next(iter(StreamReader(BytesIO(framed), skip_magic=True, emit_chunks=True).records))
+
+
+def take_grown(result: Scan, data: bytes) -> int:
+    """Add the complete records at the begin of `data`, which follow those that `result` holds.
+
+    Return how many bytes they take. Raises LogError if they are damaged.
+    """
+    offset = 0
+    while offset + _RECORD.size <= len(data) and not result.whole:
+        opcode, length = _RECORD.unpack_from(data, offset)
+        end = offset + _RECORD.size + length
+        if length > CHUNK_LIMIT_BYTES:
+            raise LogError(f"{result.path}: holds a record of {length} bytes; the file is damaged")
+        if end > len(data):
+            break
+        if opcode in _USED:
+            try:
+                record = _framed_record(data[offset:end])
+                if isinstance(record, Chunk):
+                    _take_chunk(result, record)
+                else:
+                    _take_record(result, record)
+            except _DAMAGE as error:
+                raise LogError(f"{result.path}: damaged ({type(error).__name__}: {error})") from error
+        offset = end
+    return offset
+
+
 def _take_chunk(result: Scan, chunk: Chunk) -> None:
     """Add a complete chunk, or raise one of _DAMAGE and add nothing."""
     data = _data_of(chunk)
@@ -201,9 +234,7 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
             body = data[start + head : end]
             messages.append(Entry(channel_id, sequence, log_time // per_us, publish_time // per_us, body))
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
-            # StreamReader reads these two from bytes framed like a file without the magic bytes.
-            framed = data[start - _RECORD.size : end]
-            _take_record(result, next(iter(StreamReader(BytesIO(framed), skip_magic=True).records)))
+            _take_record(result, _framed_record(data[start - _RECORD.size : end]))
     result.messages.extend(messages)
     result.chunks += 1
 

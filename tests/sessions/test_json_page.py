@@ -188,6 +188,7 @@ def test_log_prints_what_the_page_says(
     check("log info", trimtab("log", "info", log))
     check("log export", trimtab("log", "export", log))
     check("log layout", trimtab("log", "layout"))
+    check("watch", trimtab("watch", log))
     check("log recover", trimtab("log", "recover", log))
     (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:200_000])
     check("log recover", trimtab("log", "recover", "cut.mcap"))

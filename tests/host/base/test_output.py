@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.base import output
+from trimtab.host.base.live import LiveTable
 from trimtab.host.base.progress import Progress
 
 
@@ -56,3 +57,16 @@ def test_progress_on_a_terminal_goes_to_stderr(capsys: pytest.CaptureFixture[str
     captured = capsys.readouterr()
     assert captured.out == ""
     assert "a line" in captured.err
+
+
+def test_live_table_shows_rows_as_they_are_on_a_terminal_only(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FORCE_COLOR", "1")  # rich takes the captured stream for a terminal
+    for enabled, shown in ((None, False), (True, True)):
+        with LiveTable("flight[1].mcap", enabled=enabled) as table:
+            table.show([("phase", "tracking"), ("battery", "[bold]16.8 V")])
+        told = capsys.readouterr()
+        assert told.out == ""
+        for words in ("flight[1].mcap", "tracking", "[bold]16.8 V"):
+            assert (words in told.err) == shown

@@ -1,0 +1,78 @@
+"""Reader of a log that is being written."""
+
+from __future__ import annotations
+
+from io import RawIOBase
+from pathlib import Path
+from types import TracebackType
+from typing import Self, cast
+
+from trimtab.host.log.errors import LogError
+from trimtab.host.log.mcap_file import MAGIC
+from trimtab.host.log.scan import Entry, Scan, take_grown
+from trimtab.host.log.writer import partial_path
+
+
+class LogFollower:
+    """Messages of the log at `path` as its writer adds them, chunk by chunk. Close it at the end.
+
+    `content` holds what was read so far, without the messages that `poll` returned. The log need not exist
+    yet. A log that is being written comes before a closed one of the same name.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.content = Scan(path=path, id="", size=0)
+        self._path = path
+        self._file: RawIOBase | None = None
+        self._rest = b""
+        self._begun = False
+
+    @property
+    def ended(self) -> bool:
+        """Whether the writer has closed the log."""
+        return self.content.whole
+
+    def poll(self) -> list[Entry]:
+        """Return the messages that were written since the last call.
+
+        Raises LogError if the file is no log, is damaged or cannot be read.
+        """
+        try:
+            if self._file is None:
+                partial = partial_path(self._path)
+                source = partial if partial.exists() else self._path
+                self._file = cast(RawIOBase, open(source, "rb", buffering=0))  # noqa: SIM115
+            while grown := self._file.read(1 << 20):
+                self._take(grown)
+        except FileNotFoundError:
+            return []
+        except OSError as error:
+            raise LogError(
+                f"{self._path}: cannot be read ({error.strerror or error}); check the path"
+            ) from error
+        messages, self.content.messages = self.content.messages, []
+        return messages
+
+    def _take(self, grown: bytes) -> None:
+        data = self._rest + grown
+        if not self._begun:
+            if len(data) < len(MAGIC):
+                self._rest = data
+                return
+            if not data.startswith(MAGIC):
+                raise LogError(f"{self._path}: is not an MCAP file; give the log that trimtab fly writes")
+            data, self._begun = data[len(MAGIC) :], True
+        self._rest = data[take_grown(self.content, data) :]
+
+    def close(self) -> None:
+        """Close the file."""
+        if self._file is not None:
+            self._file.close()
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,1 @@
+"""A flight while it is flown, from its log: figures for the terminal, and a server for Foxglove."""

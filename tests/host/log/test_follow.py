@@ -1,0 +1,54 @@
+"""Reading a log while it is written."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+
+from trimtab.host.log import LogError
+from trimtab.host.log.follow import LogFollower
+from trimtab.host.log.scan import Entry, scan
+from trimtab.host.log.writer import partial_path
+
+
+@pytest.mark.parametrize("step", [1000, 40_000, 10_000_000])
+def test_follower_returns_every_message_once_as_the_file_grows(
+    tmp_path: Path, log_bytes: bytes, log_path: Path, step: int
+) -> None:
+    target = tmp_path / "growing.mcap"
+    messages: list[Entry] = []
+    with LogFollower(target) as follower, partial_path(target).open("wb", buffering=0) as file:
+        assert follower.poll() == []
+        for start in range(0, len(log_bytes), step):
+            assert not follower.ended
+            file.write(log_bytes[start : start + step])
+            messages += follower.poll()
+        assert follower.ended
+        partial_path(target).replace(target)
+        assert follower.poll() == []
+    whole = scan(log_path)
+    assert messages == whole.messages
+    assert follower.content.channels == whole.channels
+    assert follower.content.metadata == whole.metadata
+
+
+def test_follower_waits_for_a_log_and_prefers_the_one_being_written(
+    tmp_path: Path, log_bytes: bytes, log_path: Path
+) -> None:
+    with LogFollower(tmp_path / "none.mcap") as follower:
+        assert (follower.poll(), follower.ended) == ([], False)
+    partial_path(log_path).write_bytes(log_bytes[: len(log_bytes) // 2])
+    with LogFollower(log_path) as follower:
+        assert 0 < len(follower.poll()) < len(scan(log_path).messages)
+        assert not follower.ended
+
+
+@pytest.mark.parametrize("place", [3, -1])
+def test_follower_of_a_damaged_or_foreign_file_says_so(tmp_path: Path, log_bytes: bytes, place: int) -> None:
+    path = tmp_path / "x.mcap"
+    damaged = bytearray(log_bytes)
+    damaged[place if place > 0 else log_bytes.index(b"zstd") + 40] ^= 0x55
+    path.write_bytes(damaged)
+    with LogFollower(path) as follower, pytest.raises(LogError, match=r"x\.mcap"):
+        follower.poll()
