@@ -81,7 +81,7 @@ def test_verb_shows_a_closed_log_and_ends(
 
 
 class Viewer:
-    """A client of Foxglove's WebSocket protocol, from its specification."""
+    """A client of Foxglove's WebSocket protocol, without foxglove-sdk."""
 
     def __init__(self, port: int) -> None:
         self._socket = socket.create_connection((HOST, port), timeout=60.0)
