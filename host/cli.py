@@ -145,7 +145,7 @@ VERBS = (
         name="watch",
         module="watch",
         page="guide/foxglove.md",
-        help="Show a flight while it is flown, in the terminal and in Foxglove.",
+        help="Show a flight while it is flown.",
     ),
     Verb(
         name="predict",
