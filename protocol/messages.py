@@ -108,6 +108,9 @@ _PX4_MODES: dict[int, tuple[int, int]] = {
 _PX4_READY = (_AUTO, 1)
 VENDOR_ID = 0x5454
 """AUTOPILOT_VERSION.vendor_id of a Trimtab vehicle; its product_id is the dialect version."""
+SIMULATED_BOARD = 0x53_49_4D_00
+"""AUTOPILOT_VERSION.board_version of a simulated vehicle. 0 leaves open whether the vehicle is simulated; any
+other number is that of a board of hardware."""
 
 
 class UploadState(IntEnum):

@@ -27,7 +27,7 @@ from trimtab.host.codegen.all_at_once import ALL_AT_ONCE
 from trimtab.host.vehicle import ConfigurationError, Vehicle, to_parameters
 from trimtab.host.vehicle.strict_toml import validate
 from trimtab.protocol.codec import Codec
-from trimtab.protocol.messages import CAMERAS, HOST_RADIO, VEHICLE_RADIO, AttPosMocap
+from trimtab.protocol.messages import CAMERAS, HOST_RADIO, SIMULATED_BOARD, VEHICLE_RADIO, AttPosMocap
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
 from trimtab.protocol.telemetry import TICK_US
@@ -285,6 +285,7 @@ class SimulatedVehicle:
             store=self.store,
             uid=session_uid(seed, flight, at_port=setting.at_port),
             vehicle_id=setting.vehicle.id_bytes,
+            board_version=SIMULATED_BOARD,
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
             check=partial(check_blob, evaluator=ALL_AT_ONCE),

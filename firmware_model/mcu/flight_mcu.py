@@ -73,6 +73,8 @@ class FlightMcu:
         Unique number of this power-up, at most 18 bytes; sent little-endian as AUTOPILOT_VERSION.uid2.
     vehicle_id
         Id of the vehicle file of the parameters, 6 bytes.
+    board_version
+        AUTOPILOT_VERSION.board_version: `messages.SIMULATED_BOARD`, the number of a board, or 0 for none.
     uart
         This end of the line to the radio processor or the host; `flight_uart()` by default.
     loop_times
@@ -94,7 +96,7 @@ class FlightMcu:
     Raises ValueError for parameters that are out of bounds or inconsistent.
     """
 
-    def __init__(
+    def __init__(  # noqa: PLR0913 (one keyword for each part)
         self,
         *,
         engine: Engine,
@@ -102,6 +104,7 @@ class FlightMcu:
         store: ReferenceStore,
         uid: int,
         vehicle_id: bytes,
+        board_version: int = 0,
         uart: UartPort | None = None,
         loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
         check: Callable[..., Verdict] = check_blob,
@@ -114,7 +117,7 @@ class FlightMcu:
         self.motor_command = self.flight.outputs["motor_command"]
         self._store = store
         self._blob_check = check
-        self._identity = Identity(uid=uid, vehicle_id=vehicle_id)
+        self._identity = Identity(uid=uid, vehicle_id=vehicle_id, board_version=board_version)
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE, accepts_unsigned=unsigned.vehicle_accepts)
         self.outbox = Outbox(self._codec, self.uart)

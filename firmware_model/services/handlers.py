@@ -49,10 +49,11 @@ _CAPABILITIES = (
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Identity of a power-up: its unique id, and the id (6 B) of the vehicle's file."""
+    """Identity of a power-up: its unique id, the id (6 B) of the vehicle's file, and the board's version."""
 
     uid: int
     vehicle_id: bytes
+    board_version: int
 
     def __post_init__(self) -> None:
         if not 0 <= self.uid < 1 << 144:
@@ -255,7 +256,7 @@ class Handlers:
             SOFTWARE_VERSION,
             0,
             0,
-            0,
+            identity.board_version,
             list(identity.vehicle_id + bytes(2)),
             [0] * 8,
             [0] * 8,

@@ -51,10 +51,14 @@ class Task:
 
 @dataclass(frozen=True, kw_only=True)
 class Identity:
-    """Identity of a vehicle: id of the vehicle file it was set up with, and uid of its power-up (hex)."""
+    """Identity of a vehicle: id of the vehicle file it was set up with, and uid of its power-up (hex).
+
+    simulated: whether its firmware says that it is; None if the firmware leaves that open.
+    """
 
     vehicle_id: str
     uid: str
+    simulated: bool | None = None
 
 
 class FindVehicle(Task):
@@ -89,7 +93,9 @@ class FindVehicle(Task):
             self._check_dialect(message.product_id)
             uid = int.from_bytes(bytes(message.uid2), "little") or message.uid
             vehicle_id = bytes(message.flight_custom_version)[:6].hex()
-            self.finish(Identity(vehicle_id=vehicle_id, uid=f"{uid:016x}"))
+            board = message.board_version
+            simulated = None if board == 0 else board == m.SIMULATED_BOARD
+            self.finish(Identity(vehicle_id=vehicle_id, uid=f"{uid:016x}", simulated=simulated))
 
     def _meet(self, client: Client, message: m.Heartbeat, now_us: int) -> None:
         version = m.dialect_version(message)

@@ -71,6 +71,8 @@ class Provenance:
         return {key: readable(value) for key, value in sorted({**entries, **self.session}.items())}
 
 
+SIMULATED = "simulated"
+"""Entry of a flight's metadata: "yes" or "no", as the firmware said; absent if it left that open."""
 _SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
 """Verbs that fly a simulated vehicle unless they are given a port."""
 
@@ -78,11 +80,14 @@ _SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
 def origin_of(metadata: Mapping[str, str]) -> Origin | None:
     """Return where the flight of a log was flown; None where its `trimtab` record does not tell.
 
-    A command without a port flew a simulated vehicle. The vehicle at a port may be simulated or real.
+    The writer stores what the vehicle's firmware said. In older logs, a command without a port flew a
+    simulated vehicle; the vehicle at a port may be simulated or real.
     """
     kind = metadata.get("kind")
     if kind == "imported":
         return "imported"
+    if SIMULATED in metadata:
+        return "simulated" if metadata[SIMULATED] == "yes" else "port"
     try:
         words = shlex.split(metadata.get("command", ""))[1:]
     except ValueError:
@@ -93,7 +98,9 @@ def origin_of(metadata: Mapping[str, str]) -> Origin | None:
 
 
 def is_simulated(metadata: Mapping[str, str]) -> bool | None:
-    """Return True if the vehicle of a log was simulated; None where that is not known."""
+    """Return whether the vehicle of a log was simulated; None where that is not known."""
+    if SIMULATED in metadata:
+        return metadata[SIMULATED] == "yes"
     return True if origin_of(metadata) == "simulated" else None
 
 

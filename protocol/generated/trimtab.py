@@ -2549,7 +2549,9 @@ class MAVLink_autopilot_version_message(MAVLink_message):
     """
     Version and capability. vendor_id 0x5454 and product_id = version
     of this dialect mark a Trimtab vehicle; flight_custom_version
-    starts with the vehicle id; uid2 is the uid of the power-up.
+    starts with the vehicle id; board_version 0x53494D00 marks a
+    simulated vehicle, 0 leaves that open, any other number is a board
+    of hardware; uid2 is the uid of the power-up.
     """
 
     id = MAVLINK_MSG_ID_AUTOPILOT_VERSION
@@ -4803,7 +4805,9 @@ class MAVLink(object):
         """
         Version and capability. vendor_id 0x5454 and product_id = version of
         this dialect mark a Trimtab vehicle; flight_custom_version
-        starts with the vehicle id; uid2 is the uid of the power-up.
+        starts with the vehicle id; board_version 0x53494D00 marks a
+        simulated vehicle, 0 leaves that open, any other number is a
+        board of hardware; uid2 is the uid of the power-up.
 
         capabilities              : Bitmap of capabilities. (type:uint64_t, values:MAV_PROTOCOL_CAPABILITY)
         flight_sw_version         : Firmware version number. (type:uint32_t)
@@ -4825,7 +4829,9 @@ class MAVLink(object):
         """
         Version and capability. vendor_id 0x5454 and product_id = version of
         this dialect mark a Trimtab vehicle; flight_custom_version
-        starts with the vehicle id; uid2 is the uid of the power-up.
+        starts with the vehicle id; board_version 0x53494D00 marks a
+        simulated vehicle, 0 leaves that open, any other number is a
+        board of hardware; uid2 is the uid of the power-up.
 
         capabilities              : Bitmap of capabilities. (type:uint64_t, values:MAV_PROTOCOL_CAPABILITY)
         flight_sw_version         : Firmware version number. (type:uint32_t)

@@ -221,7 +221,7 @@ class Session:
     The air: a slot of 2 ms for each side in turn, 4 ms on the way, lost where `lost(now_us)` says so.
     """
 
-    def __init__(self, engine, *, store=None, body=None, parameters=None, uid=7):
+    def __init__(self, engine, *, store=None, body=None, parameters=None, uid=7, board_version=0):
         self.engine, self.body = engine, body or Body()
         self.store = store or ReferenceStore()
         self.flight = FlightMcu(
@@ -230,6 +230,7 @@ class Session:
             store=self.store,
             uid=uid,
             vehicle_id=bytes.fromhex(VEHICLE_ID),
+            board_version=board_version,
         )
         self.radio, self.ground = RadioMcu(), RadioMcu(address=HOST_RADIO)
         self.port = UartPort(baud=921_600, rx_bytes=1 << 16, tx_bytes=1 << 16)

@@ -18,6 +18,7 @@ from trimtab.host.link.fly import fly_port
 from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.upload import upload_port
 from trimtab.host.log import read_flight
+from trimtab.host.log.provenance import is_simulated
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.sitl.seeds import session_uid
@@ -82,6 +83,7 @@ def test_pty_flight_after_upload_tracks_and_logs(
     uid = flight.metadata["session_uid"]
     assert uid == json.loads(truth.read_text())["uid"]
     assert uid != f"{session_uid(2, 0):016x}"  # that of a flight in lock-step
+    assert is_simulated(flight.metadata)
 
 
 def test_pty_key_is_installed_by_cable_and_then_needed_over_the_radio(

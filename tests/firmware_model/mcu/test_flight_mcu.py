@@ -173,13 +173,14 @@ def test_command_for_another_system_is_left_alone(make_session):
 
 def test_version_carries_uid_vehicle_and_dialect(make_session):
     uid = 0x0123456789ABCDEF_FEDCBA9876543210_55AA
-    session = make_session(uid=uid)
+    session = make_session(uid=uid, board_version=m.SIMULATED_BOARD)
     session.command(512, 148.0)
     session.run(0.2)
     (version,) = session.received(m.AutopilotVersion)
     assert int.from_bytes(bytes(version.uid2), "little") == uid
     assert bytes(version.flight_custom_version)[:6].hex() == VEHICLE_ID
     assert (version.vendor_id, version.product_id) == (m.VENDOR_ID, m.DIALECT_VERSION)
+    assert version.board_version == m.SIMULATED_BOARD
     assert ".".join(map(str, version.flight_sw_version.to_bytes(4, "big")[:3])) == package_version("trimtab")
 
 

@@ -36,6 +36,7 @@ class FakeVehicle:
         self.answers = True
         self.heartbeat = m.vehicle_heartbeat(1, armed=False)
         self.product_id = m.DIALECT_VERSION
+        self.board_version = 0
         self.drop: Callable[[], bool] = lambda: False
         self.verdict = Verdict(ok=True)
         self.store = ReferenceStore()
@@ -98,7 +99,8 @@ class FakeVehicle:
             version, unused = [*bytes.fromhex("0123456789ab"), 0, 0], [0] * 8
             uid = [*(7).to_bytes(8, "little"), *bytes(10)]
             product = (m.VENDOR_ID, self.product_id)
-            self.send(m.AutopilotVersion(0, 0, 0, 0, 0, version, unused, unused, *product, 7, uid))
+            numbers = (0, 0, 0, 0, self.board_version)
+            self.send(m.AutopilotVersion(*numbers, version, unused, unused, *product, 7, uid))
         result = self.refuse(message.command)
         if result != mavlink.MAV_RESULT_ACCEPTED and self.text:
             self.send(m.StatusText(4, self.text.encode()))

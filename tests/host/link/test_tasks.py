@@ -51,6 +51,14 @@ def test_find_vehicle_tells_who_it_is(run: Run, fake: Any) -> None:
     assert session.result == Identity(vehicle_id="0123456789ab", uid="0000000000000007")
 
 
+@pytest.mark.parametrize(("board", "simulated"), [(0, None), (m.SIMULATED_BOARD, True), (0x0203_0001, False)])
+def test_find_vehicle_tells_whether_the_firmware_is_simulated(
+    run: Run, fake: Any, board: int, simulated: bool | None
+) -> None:
+    fake.board_version = board
+    assert run(one(FindVehicle("port")), fake).result.simulated is simulated
+
+
 def test_find_vehicle_over_a_lossy_line_asks_again(run: Run, fake: Any) -> None:
     fake.drop = lossy(3, 0.6)
     assert run(one(FindVehicle("port")), fake).result.vehicle_id == "0123456789ab"

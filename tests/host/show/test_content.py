@@ -211,6 +211,12 @@ def test_log_is_simulated_where_its_command_had_no_port(
     assert is_simulated({"kind": kind, "command": command}) is expected
 
 
+@pytest.mark.parametrize(("stored", "expected"), [("yes", True), ("no", False)])
+def test_log_is_simulated_where_the_firmware_said_so(stored: str, expected: bool) -> None:
+    at_port = {"kind": "flight", "command": "trimtab fly a.ref --port /dev/ttyUSB0", "simulated": stored}
+    assert is_simulated(at_port) is expected
+
+
 def test_same_files_give_the_same_bytes_without_folders(
     a1: Path, planned: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
