@@ -16,11 +16,9 @@ matplotlib.use("svg")
 
 import matplotlib.pyplot as plt
 import numpy as np
-from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure as Canvas
 
 from trimtab.host.trace import words
-from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.residual.description import Dependence, Description
 
 BEFORE, AFTER, FLOOR, NEUTRAL = "#b5482f", "#1f6f8b", "#8a8a8a", "#444444"
@@ -34,8 +32,6 @@ STYLE: Any = {
     "grid.alpha": 0.25,
     "figure.constrained_layout.use": True,
 }
-_POINTS = 400
-"""Greatest number of points in a line."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -67,60 +63,6 @@ def finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figu
     plt.close(canvas)
     return Figure(
         svg=stream.getvalue(), caption=caption, alt=alt, width=width, height=height, png=pixels.getvalue()
-    )
-
-
-def _thin(count: int) -> np.ndarray:
-    return np.unique(np.linspace(0, count - 1, min(count, _POINTS)).round().astype(int))
-
-
-def paths(panels: Sequence[tuple[str, np.ndarray, np.ndarray]], caption: str, *, unit: str = "mm") -> Figure:
-    """Draw paths from above, coloured by error on one scale.
-
-    Panels are (title, position (n, 3) NED in m, error (n,) in m).
-    """
-    with matplotlib.rc_context(STYLE):
-        canvas, axes = plt.subplots(1, len(panels), figsize=(4.2 * len(panels), 3.8), squeeze=False)
-        top = max(float(np.quantile(error, 0.99)) for _, _, error in panels) * 1e3
-        lines = None
-        for ax, (title, position, error) in zip(axes[0], panels, strict=True):
-            keep = _thin(len(position))
-            xy = position[keep][:, [1, 0]]
-            lines = LineCollection(list(np.stack([xy[:-1], xy[1:]], axis=1)), cmap="viridis", linewidths=2.5)
-            lines.set_array(error[keep][:-1] * 1e3)
-            lines.set_clim(0.0, top)
-            ax.add_collection(lines)
-            ax.autoscale()
-            ax.set_aspect("equal", adjustable="datalim")
-            ax.set(title=title, xlabel="east, m", ylabel="north, m")
-        assert lines is not None
-        canvas.colorbar(lines, ax=axes[0].tolist(), label=f"error, {unit}", shrink=0.85)
-    alt = "; ".join(f"{title}: median {1e3 * float(np.median(e)):.0f} {unit}" for title, _, e in panels)
-    return finish(canvas, caption, f"Paths from above coloured by error. {alt}.")
-
-
-def residuals(before: Sequence[Errors], after: Sequence[Errors], floor_m: float | None) -> Figure:
-    """Draw the prediction error over time on each held-out flight, before and after, and the noise floor."""
-    with matplotlib.rc_context(STYLE):
-        canvas, axes = plt.subplots(
-            len(before), 1, figsize=(8.4, 1.0 + 1.7 * len(before)), squeeze=False, sharey=True
-        )
-        for ax, b, a in zip(axes[:, 0], before, after, strict=True):
-            for errors, colour, label in ((b, BEFORE, "before"), (a, AFTER, "after")):
-                order = np.argsort(errors.t_s, kind="stable")
-                keep = order[_thin(len(order))]
-                norm = np.linalg.norm(errors.p_error_ned, axis=1)
-                ax.plot(errors.t_s[keep], norm[keep] * 1e3, color=colour, label=label, linewidth=1.2)
-            if floor_m is not None:
-                ax.axhline(floor_m * 1e3, color=FLOOR, linestyle="--", label="noise floor", linewidth=1.0)
-            ax.set(title=f"flight {b.flight}", ylabel="error, mm")
-            ax.set_ylim(bottom=0.0)
-        axes[-1, 0].set_xlabel("time, s")
-        axes[0, 0].legend(ncols=3, frameon=False)
-    return finish(
-        canvas,
-        "Position error of the prediction on held-out flights.",
-        f"Prediction error over time, before and after, on {len(before)} held-out flights.",
     )
 
 

@@ -21,9 +21,10 @@ from trimtab.host.plan.sensitivity import Sensitivity, sensitivity
 from trimtab.host.plan.table import from_reference
 from trimtab.host.report import plan_figures, trade_figures
 from trimtab.host.report.html import render, script_data
-from trimtab.host.report.plan_path import path
+from trimtab.host.report.show import component
 from trimtab.host.route import Route
 from trimtab.host.shooting.problem import SolveStatus
+from trimtab.host.show.content import content_of_plan
 from trimtab.host.vehicle import Limits, Vehicle
 
 _LIMITS = {
@@ -55,11 +56,10 @@ def page(
         "plan.html.j2",
         title=f"{route.name}: {plan.label}",
         sentence=_sentence(plan),
-        figures=[
-            path(route, along),
-            plan_figures.per_node(plan, route, along, off, inside),
-            plan_figures.over_time(plan, along),
-        ],
+        show=component(
+            content_of_plan(plan.reference, (route, plan.waypoint_times_s), vehicle, model), folded=True
+        ),
+        figures=[plan_figures.per_node(plan, route, along, off, inside)],
         parts=[
             {"title": "The plan", "head": (), "numbers": (), "rows": _facts(plan, off)},
             {
@@ -200,6 +200,7 @@ def trade_page(points: Sequence[Point], route: Route, provenance: Mapping[str, o
         title=f"{route.name}: residual against jerk",
         sentence="The same route and time, planned with different weights and kinds"
         + (", each flown once in the same simulated world." if flown else "."),
+        show=None,
         figures=[trade_figures.trade(points)],
         parts=parts,
         provenance=json.dumps(dict(provenance), indent=1, default=str),

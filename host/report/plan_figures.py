@@ -1,4 +1,4 @@
-"""Figures of a plan over time: at its nodes, and along the reference."""
+"""Figure of a plan over time: residual, sensitivity and distances to the limits, with its nodes."""
 
 from __future__ import annotations
 
@@ -16,9 +16,11 @@ from trimtab.host.plan.profile import Profile
 from trimtab.host.plan.result import Plan
 from trimtab.host.plan.sensitivity import Sensitivity
 from trimtab.host.report.figures import AFTER, BEFORE, FLOOR, NEUTRAL, STYLE, Figure, finish
-from trimtab.host.report.plan_path import FORBIDDEN, MANY
 from trimtab.host.route import Route
 
+FORBIDDEN = "#b5482f"
+MANY = 40
+"""Above this number of waypoints, their lines are thin."""
 _COLOURS = (AFTER, BEFORE, "#c29a3a", "#6b5b95")
 _MARGIN_COLOURS = (*_COLOURS, "#6a9a5b")
 _SAMPLES = 2500
@@ -27,8 +29,6 @@ _NODES = 300
 """Greatest number of nodes that are drawn as points."""
 _NODE_STEPS = tuple(factor * 10**power for power in range(6) for factor in (1, 2, 5))
 _LEAST_SHOWN_M = 1e-3
-_FAR = 3.0
-"""A limit that exceeds the greatest value by this factor is written as text instead of drawn."""
 
 
 def per_node(
@@ -149,44 +149,6 @@ def _distances(ax: Any, distances: Mapping[str, np.ndarray], t_s: np.ndarray, ke
     _legend(ax)
 
 
-def over_time(plan: Plan, along: Profile) -> Figure:
-    """Draw speed, tilt, body rates, rotor thrusts and jerk over time, with limits and waypoints.
-
-    Samples outside the model's trained region are shaded in grey.
-    """
-    keep, limits = _kept(along), plan.limits
-    t_s = along.t_s[keep]
-    with rc_context(STYLE):
-        canvas, axes = plt.subplots(5, 1, figsize=(9.6, 1.3 + 1.75 * 5), sharex=True)
-        for ax, values, bound, name, unit in (
-            (axes[0], along.speed_m_s, limits.speed_max_m_s, "speed", "m/s"),
-            (axes[1], along.tilt_deg, limits.tilt_max_deg, "tilt", "deg"),
-            (axes[4], along.jerk_m_s3, limits.jerk_max_m_s3, "jerk", "m/s$^3$"),
-        ):
-            ax.plot(t_s, values[keep], color=AFTER, linewidth=1.4)
-            ax.set(ylabel=f"{name}, {unit}")
-            _upper(ax, float(values.max()), bound, unit)
-        shares = along.rate_frd / np.array(limits.body_rate_max_rad_s)[:, None]
-        for values, name, colour in zip(shares, ("roll", "pitch", "yaw"), _COLOURS, strict=False):
-            axes[2].plot(t_s, values[keep], color=colour, linewidth=1.1, label=name)
-        _rates(axes[2])
-        for k, colour in enumerate(_COLOURS):
-            axes[3].plot(
-                t_s, along.thrust_share[k][keep], color=colour, linewidth=1.1, label=f"rotor {k + 1}"
-            )
-        _thrusts(axes[3], along, limits.thrust_headroom)
-        _marked(axes, plan, along)
-        canvas.align_ylabels(axes)
-    caption = "Along the reference. Dotted lines with numbers are waypoints; red is beyond a limit."
-    caption += _grey(along)
-    alt = (
-        f"Over {along.t_s[-1]:.1f} s: speed up to {along.speed_m_s.max():.2f} m/s, tilt to "
-        f"{along.tilt_deg.max():.0f} deg, rotor thrust {along.thrust_share.min():.2f} to "
-        f"{along.thrust_share.max():.2f} of the maximum, jerk to {along.jerk_m_s3.max():.0f} m/s^3."
-    )
-    return finish(canvas, caption, alt)
-
-
 def _marked(axes: Sequence[Any], plan: Plan, along: Profile) -> None:
     """Mark waypoints and samples outside the trained region; label waypoints above, time and nodes below."""
     thin = 0.8 if len(plan.waypoint_times_s) <= MANY else 0.4
@@ -223,43 +185,6 @@ def _numbers(times_s: Sequence[float]) -> list[str]:
 
 def _legend(ax: Any) -> None:
     ax.legend(ncols=1, frameon=False, fontsize=8, loc="center left", bbox_to_anchor=(1.0, 0.5))
-
-
-def _upper(ax: Any, reached: float, bound: float, unit: str) -> None:
-    """Shade the range beyond an upper limit, or write the limit if it is far away."""
-    if bound > _FAR * max(reached, 1e-9):
-        ax.set_ylim(0.0, 1.12 * max(reached, 0.01 * bound))
-        ax.text(1.008, 0.5, f"limit\n{bound:g} {unit}", transform=ax.transAxes, fontsize=8, color=FORBIDDEN)
-        return
-    top = 1.1 * max(bound, reached)
-    ax.axhspan(bound, top, color=FORBIDDEN, alpha=0.18, linewidth=0)
-    ax.set_ylim(0.0, top)
-    ax.text(
-        1.008,
-        bound / top,
-        f"{bound:g} {unit}",
-        transform=ax.transAxes,
-        fontsize=8,
-        color=FORBIDDEN,
-        va="center",
-    )
-
-
-def _rates(ax: Any) -> None:
-    for low, high in ((-1.15, -1.0), (1.0, 1.15)):
-        ax.axhspan(low, high, color=FORBIDDEN, alpha=0.18, linewidth=0)
-    ax.set(ylim=(-1.15, 1.15), ylabel="body rate, of limit")
-    _legend(ax)
-
-
-def _thrusts(ax: Any, along: Profile, headroom: tuple[float, float]) -> None:
-    low, high = headroom
-    top = min(1.0, max(high + 0.08, 1.05 * float(along.thrust_share.max())))
-    ax.axhspan(min(0.0, float(along.thrust_share.min())), low, color=FORBIDDEN, alpha=0.18, linewidth=0)
-    ax.axhspan(high, max(top, high), color=FORBIDDEN, alpha=0.18, linewidth=0)
-    ax.set_ylim(min(0.0, float(along.thrust_share.min())), top)
-    ax.set_ylabel("thrust, of maximum")
-    _legend(ax)
 
 
 def _spans(ax: Any, t_s: np.ndarray, inside: np.ndarray) -> None:

@@ -19,28 +19,45 @@ _BAR_EDGE = 8.0
 
 def page(content: Content) -> str:
     """Return the HTML. The same content gives the same bytes; paths are left out."""
+    show = component(content)
+    shared = _shared_notes(content.flights)
+    return render(
+        "show.html.j2",
+        title=_title(content),
+        simulated=show["simulated"],
+        notes=[*content.notes, *(f"All flights: {note}" for note in shared)],
+        flights=[
+            _flight(row, title, shared) for row, title in zip(content.flights, _titles(content), strict=True)
+        ],
+        plans=[_plan(row) for row in content.plans],
+        models=[_model(row) for row in content.models],
+        tracks=content.tracks,
+        show=show,
+    )
+
+
+def component(content: Content, *, folded: bool = False) -> dict[str, Any]:
+    """Return what the templates `show_head`, `show_panels` and `show_scripts` take as `show`.
+
+    folded: whether the events are folded.
+    """
     tracks = [track.to_json() for track in content.tracks]
     simulated = [track.simulated for track in content.tracks if track.what != "plan"]
     if not all(simulated):  # else the page says it once for all
         for track in tracks:
             track["name"] += " (simulated)" if track["simulated"] else ""
-    shared = _shared_notes(content.flights)
-    return render(
-        "show.html.j2",
-        title=_title(content),
-        simulated=bool(simulated) and all(simulated),
-        notes=[*content.notes, *(f"All flights: {note}" for note in shared)],
-        flights=[_flight(row, shared) for row in content.flights],
-        plans=[_plan(row) for row in content.plans],
-        models=[_model(row) for row in content.models],
-        tracks=tracks,
-        scene_words=_scene_words(content),
-        data=script_data({"tracks": tracks, "scene": content.scene, "facts": _without_folders(content)}),
-        library=_text(_LIBRARY),
-        library_style=_text(_LIBRARY_STYLE),
-        style=_text("show.css"),
-        scripts=[_text(name) for name in _SCRIPTS],
-    )
+    return {
+        "simulated": bool(simulated) and all(simulated),
+        "words": _scene_words(content),
+        "has_plan": any(track.what == "plan" for track in content.tracks),
+        "has_events": any(track.events for track in content.tracks),
+        "folded": folded,
+        "data": script_data({"tracks": tracks, "scene": content.scene, "facts": _without_folders(content)}),
+        "library": _text(_LIBRARY),
+        "library_style": _text(_LIBRARY_STYLE),
+        "style": _text("show.css"),
+        "scripts": [_text(name) for name in _SCRIPTS],
+    }
 
 
 def _text(name: str) -> str:
@@ -78,11 +95,17 @@ def _shared_notes(flights: Sequence[Mapping[str, Any]]) -> list[str]:
     return [note for note in flights[0]["notes"] if all(note in row["notes"] for row in flights)]
 
 
-def _flight(row: Mapping[str, Any], shared: Sequence[str]) -> dict[str, Any]:
+def _titles(content: Content) -> list[str]:
+    """Return the title of each flight."""
+    return [track.name for track in content.tracks if track.what != "plan"]
+
+
+def _flight(row: Mapping[str, Any], title: str, shared: Sequence[str]) -> dict[str, Any]:
     """Return a flight's row of the table, without the notes that all flights share."""
     source = {True: "simulated", False: "flown", None: "flight"}[row["simulated"]]
     tracking = row["tracking_s"]
     return {
+        "title": title,
         "name": _name(row),
         "id": row["id"],
         "source": source if row["kind"] == "flight" else row["kind"],
@@ -175,9 +198,10 @@ def _scene_words(content: Content) -> str:
         for key, name in (("waypoints", "waypoint"), ("gates", "gate"), ("keep_out", "keep-out shape"))
         if scene[key]
     ]
-    words.append(
-        f"Shown: {', '.join(counts)}."
-        if counts
-        else "The route is not known: no waypoints, gates or keep-out shapes."
-    )
+    if len({tuple(point["references"]) for point in scene["waypoints"]}) > 1:
+        words.append("Waypoints, gates and keep-out shapes are those of the flights that are shown.")
+    elif counts:
+        words.append(f"Shown: {', '.join(counts)}.")
+    else:
+        words.append("The route is not known: no waypoints, gates or keep-out shapes.")
     return " ".join(words)

@@ -2,10 +2,12 @@
 // Plots over time, with one cursor for all and one range of time.
 
 const QUANTITIES = [
+  { key: "prediction", title: "Prediction error", unit: "mm", names: ["before", "after", "noise floor"], dashes: [[6, 3], [], [2, 4]], colours: [1, 0, 6], byTrack: true },
   { key: "error", title: "Tracking error", unit: "mm", names: ["distance from the reference"] },
   { key: "p", ref: "p_ref", title: "Position", unit: "m", names: ["north", "east", "up"], refName: "reference" },
   { key: "v", ref: "v_ref", title: "Velocity", unit: "m/s", names: ["north", "east", "up"], refName: "reference" },
   { key: "speed", title: "Planned speed", unit: "m/s", names: ["speed"] },
+  { key: "residual", title: "Predicted residual", unit: "m/s²", names: ["residual"] },
   { key: "margin", title: "Margin to the limits", unit: "1", names: ["speed", "tilt", "body rate", "jerk", "thrust"] },
   { key: "thrust", title: "Rotor thrust", unit: "of maximum", names: ["rotor 1", "rotor 2", "rotor 3", "rotor 4"] },
   { key: "attitude", ref: "yaw_ref", refColumn: 2, title: "Attitude", unit: "deg", names: ["roll", "pitch", "yaw"], refName: "reference" },
@@ -13,6 +15,7 @@ const QUANTITIES = [
   { key: "motor", title: "Motor commands", unit: "0 to 1", names: ["motor 1", "motor 2", "motor 3", "motor 4"] },
 ];
 
+const FROM_ZERO = ["prediction", "error", "speed", "residual"];
 const PLOTS = [];
 let scaling = false;
 
@@ -42,8 +45,30 @@ function seriesOf(quantity, columns) {
   return series.filter((one) => one.y.some((value) => value !== null));
 }
 
+// The lines of one track in a plot of its own.
+function seriesOfTrack(quantity, track) {
+  const channel = track.channels[quantity.key];
+  if (!channel) return [];
+  return quantity.names.slice(0, channel.width).map((label, column) => ({
+    label,
+    colour: OKABE_ITO[quantity.colours[column]],
+    dash: quantity.dashes[column],
+    y: columnOf(track, quantity.key, column),
+  })).filter((one) => one.y.some((value) => value !== null));
+}
+
 function addPlots(parent) {
+  PLOTS.forEach((plot) => plot.chart.destroy());
+  PLOTS.length = 0;
+  parent.replaceChildren();
   for (const quantity of QUANTITIES) {
+    if (quantity.byTrack) {
+      for (const track of TRACKS) {
+        const series = seriesOfTrack(quantity, track);
+        if (series.length) addPlot(parent, quantity, SEVERAL ? `${quantity.title}: ${track.name}` : quantity.title, series);
+      }
+      continue;
+    }
     const all = quantity.names.map((_, column) => column);
     for (const columns of SEVERAL ? all.map((column) => [column]) : [all]) {
       const series = seriesOf(quantity, columns);
@@ -94,7 +119,7 @@ function axisOf(label, size) {
 function draw(plot) {
   const range = plot.chart ? [plot.chart.scales.x.min, plot.chart.scales.x.max] : null;
   if (plot.chart) plot.chart.destroy();
-  const fromZero = plot.quantity.key === "error" || plot.quantity.key === "speed";
+  const fromZero = FROM_ZERO.includes(plot.quantity.key);
   const options = {
     width: Math.max(200, plot.holder.clientWidth),
     height: 170,

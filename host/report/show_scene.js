@@ -1,7 +1,7 @@
 "use strict";
 // The path in 3D on a canvas: an orthographic view of north, east, up. It needs no graphics processor.
 
-const SCENE = { canvas: null, still: null, azimuth: 0.6, elevation: 0.5, zoom: 1, centre: [0, 0, 0], width: 0, height: 0 };
+const SCENE = { canvas: null, still: null, azimuth: 0.6, elevation: 0.5, zoom: 1, centre: [0, 0, 0], width: 0, height: 0, shade: null };
 const VIRIDIS = [[68, 1, 84], [59, 82, 139], [33, 145, 140], [94, 201, 98], [253, 231, 37]];
 const PIECES = 1500;
 
@@ -20,6 +20,24 @@ function pointsOf(track, name) {
 function addScene(canvas) {
   SCENE.canvas = canvas;
   SCENE.still = document.createElement("canvas");
+  for (const track of ALL_TRACKS) {
+    track.path = pointsOf(track, "p");
+    track.refPath = pointsOf(track, "p_ref");
+  }
+  turnable(canvas);
+  new ResizeObserver(() => {
+    if (canvas.clientWidth !== SCENE.width || canvas.clientHeight !== SCENE.height) drawStill();
+  }).observe(canvas);
+}
+
+// Waypoints, gates and keep-out shapes of the routes that are shown.
+function shownOf(kind) {
+  const routes = new Set(TRACKS.map((track) => track.reference_id));
+  return DATA.scene[kind].filter((one) => one.references.some((reference) => routes.has(reference)));
+}
+
+// Finds the room that the shown paths and routes need. Returns whether there is anything to draw.
+function fitScene() {
   const low = [Infinity, Infinity, Infinity];
   const high = [-Infinity, -Infinity, -Infinity];
   const include = (point, margin = 0) => {
@@ -29,12 +47,10 @@ function addScene(canvas) {
     }
   };
   for (const track of TRACKS) {
-    track.path = pointsOf(track, "p");
-    track.refPath = pointsOf(track, "p_ref");
     for (const point of [...track.path, ...track.refPath]) if (point) include(point);
   }
-  for (const point of DATA.scene.waypoints) include(point.p);
-  for (const shape of DATA.scene.keep_out) {
+  for (const point of shownOf("waypoints")) include(point.p);
+  for (const shape of shownOf("keep_out")) {
     if (shape.kind === "box") { include(shape.low); include(shape.high); }
     else if (shape.kind === "sphere") include(shape.centre, shape.radius);
     else for (const up of [shape.low, shape.high]) {
@@ -42,6 +58,7 @@ function addScene(canvas) {
       include([shape.centre[0] + shape.radius, shape.centre[1] + shape.radius, up]);
     }
   }
+  SCENE.low = null;
   if (!Number.isFinite(low[0])) return false;
   low[2] = Math.min(low[2], 0);
   SCENE.floor = low[2];
@@ -53,10 +70,6 @@ function addScene(canvas) {
   SCENE.centre = low.map((value, k) => 0.5 * (value + high[k]));
   SCENE.low = low;
   SCENE.high = high;
-  turnable(canvas);
-  new ResizeObserver(() => {
-    if (canvas.clientWidth !== SCENE.width || canvas.clientHeight !== SCENE.height) drawStill();
-  }).observe(canvas);
   return true;
 }
 
@@ -148,17 +161,18 @@ function drawStill() {
   SCENE.height = SCENE.canvas.clientHeight;
   const context = sized(SCENE.still);
   const at = projection();
+  const shading = shadingOf(SCENE.shade);
   drawGround(context, at);
-  DATA.scene.keep_out.forEach((shape) => drawShape(context, at, shape, theme().forbidden, 0.1));
+  shownOf("keep_out").forEach((shape) => drawShape(context, at, shape, theme().forbidden, 0.1));
   for (const track of TRACKS) {
     context.setLineDash(track.what === "plan" ? [] : [4, 4]);
     if (track.drawsReference) stroke(context, at, track.refPath, SEVERAL && !track.sharesReference ? shown(track.colour) : theme().soft, track.what === "plan" ? 2 : 1.2);
     context.setLineDash([]);
-    const error = track.channels.error;
-    if (SEVERAL || !error) stroke(context, at, track.path, shown(track.colour), 2);
-    else strokeByError(context, at, track, error);
+    if (!shading) stroke(context, at, track.path, shown(track.colour), 2);
+    else strokeShaded(context, at, track, shading);
   }
-  DATA.scene.gates.forEach((gate) => drawGate(context, at, gate));
+  if (shading) drawScale(context, shading);
+  shownOf("gates").forEach((gate) => drawGate(context, at, gate));
   drawWaypoints(context, at);
   sized(SCENE.canvas);
   drawMoving(SCENE.sample || 0);
@@ -167,7 +181,8 @@ function drawStill() {
 // Waypoints with their numbers; those close to each other share a label.
 function drawWaypoints(context, at) {
   const groups = [];
-  for (const point of DATA.scene.waypoints) {
+  const waypoints = shownOf("waypoints");
+  for (const point of waypoints) {
     const [x, y] = at(point.p);
     const near = groups.find((group) => Math.hypot(group.x - x, group.y - y) < 12);
     if (near) near.labels.push(point.label);
@@ -180,7 +195,7 @@ function drawWaypoints(context, at) {
     context.fill();
     context.stroke();
   }
-  if (DATA.scene.waypoints.length > 40) return;
+  if (waypoints.length > 40) return;
   context.fillStyle = theme().ink;
   for (const { x, y, labels } of groups) context.fillText(labels.length > 3 ? `${labels[0]}, ${labels[1]}, …` : labels.join(", "), x + 6, y - 5);
 }
@@ -213,21 +228,44 @@ function colourOf(share) {
   return `rgb(${mixed.join(",")})`;
 }
 
-function strokeByError(context, at, track, error) {
+const SHADES = [
+  { key: "error", column: 0, title: "tracking error", unit: "mm" },
+  { key: "prediction", column: 0, title: "prediction error before", unit: "mm" },
+  { key: "prediction", column: 1, title: "prediction error after", unit: "mm" },
+  { key: "residual", column: 0, title: "predicted residual", unit: "m/s²" },
+  { key: "speed", column: 0, title: "speed", unit: "m/s" },
+];
+
+// The quantities by which the shown paths can be coloured.
+function shadesOf(tracks) {
+  return SHADES.filter((shade) => tracks.some((track) => track.channels[shade.key]));
+}
+
+// A quantity with its greatest value on the shown paths, one scale for all; before and after share theirs.
+function shadingOf(shade) {
+  if (!shade) return null;
   let top = 0;
-  for (const value of error.values) if (value > top) top = value;
+  for (const track of TRACKS) for (const value of track.channels[shade.key]?.values || []) if (value > top) top = value;
+  return { ...shade, top: top || 1 };
+}
+
+function strokeShaded(context, at, track, shading) {
+  const channel = track.channels[shading.key];
   let before = null;
-  for (const point of track.path) {
+  for (const point of track.what === "plan" ? track.refPath : track.path) {
     const here = point && at(point);
     if (here && before) {
-      const value = error.values[point[3]];
-      context.strokeStyle = Number.isNaN(value) ? theme().line : colourOf(top ? value / top : 0);
+      const value = channel ? channel.values[point[3] * channel.width + shading.column] : NaN;
+      context.strokeStyle = Number.isNaN(value) ? theme().line : colourOf(value / shading.top);
       context.lineWidth = Number.isNaN(value) ? 1.2 : 3;
       line(context, [before, here]);
       context.stroke();
     }
     before = here;
   }
+}
+
+function drawScale(context, shading) {
   const width = 90, x = SCENE.width - width - 10, y = 12;
   for (let i = 0; i < width; i++) {
     context.fillStyle = colourOf(i / width);
@@ -235,7 +273,7 @@ function strokeByError(context, at, track, error) {
   }
   context.fillStyle = theme().soft;
   context.textAlign = "right";
-  context.fillText(`error 0 to ${top.toFixed(0)} mm`, x + width, y + 22);
+  context.fillText(`${shading.title} 0 to ${shading.top.toFixed(shading.top < 10 ? 1 : 0)} ${shading.unit}`, x + width, y + 22);
   context.textAlign = "left";
 }
 

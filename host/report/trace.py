@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -11,41 +12,77 @@ import numpy as np
 from trimtab.host.log import Flight
 from trimtab.host.report import figures
 from trimtab.host.report.html import VERDICTS, render, script_data
+from trimtab.host.report.show import component
+from trimtab.host.show.content import Content, content_of_flights
+from trimtab.host.show.lattice import Track, peaks
 from trimtab.host.trace import words
 from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
 
 
+SHOWN = 3
+"""Number of flights that are shown at first if none was held out."""
+USED, HELD_OUT = "learned from", "held out"
+"""Headings of the flights."""
+
+
 def pictures(result: Trace) -> list[figures.Figure]:
-    """Return the figures of errors and ranking, for `page`."""
-    drawn = []
-    if result.before:
-        worst = int(np.argmax([np.linalg.norm(e.p_error_ned, axis=1).mean() for e in result.before]))
-        panels = [
-            (title, errors[worst].p_measured_ned, np.linalg.norm(errors[worst].p_error_ned, axis=1))
-            for title, errors in (("before", result.before), ("after", result.after))
-        ]
-        caption = (
-            "Path of the held-out flight with the greatest error before, coloured by the prediction error."
-        )
-        drawn.append(figures.paths(panels, caption))
-        drawn.append(figures.residuals(result.before, result.after, result.noise_floor["position_rmse_m"]))
-    drawn.append(figures.ranking(result.evidence, [e.name for e in result.effects]))
-    return drawn
+    """Return the figures for `page`: the ranking of the candidates."""
+    return [figures.ranking(result.evidence, [e.name for e in result.effects])]
+
+
+def shown_flights(
+    result: Trace, flights: Sequence[Flight], held_out: Sequence[Flight], more: Sequence[Flight] = ()
+) -> Content:
+    """Return the flights of a trace for `page`; held-out ones with their prediction errors before and after.
+
+    The held-out flights are shown at first, without any the first `SHOWN`. `more` are further flights. Raises
+    LogError if a log can no longer be read.
+    """
+    content = content_of_flights([flight.path for flight in (*flights, *held_out, *more)])
+    tracks = []
+    for index, (flight, track) in enumerate(zip((*flights, *held_out, *more), content.tracks, strict=True)):
+        number = index - len(flights)
+        is_held_out = 0 <= number < len(held_out)
+        shown = is_held_out if held_out else index < SHOWN
+        track = replace(track, group=HELD_OUT if is_held_out else USED, shown=shown)
+        if is_held_out and result.before:
+            track = _with_prediction(track, flight, result, number)
+        tracks.append(track)
+    return replace(content, tracks=tracks)
+
+
+def _with_prediction(track: Track, flight: Flight, result: Trace, number: int) -> Track:
+    """Return the track of a held-out flight with its prediction errors, mm: before, after, noise floor."""
+    channel = next(iter(track.channels.values()))
+    grid_us = (track.first + np.arange(len(channel))) * track.step_us
+    zero_us = 0 if result.drive == "reference" or flight.tracking is None else flight.tracking[0]
+    columns = []
+    for errors in (result.before[number], result.after[number]):
+        t_us = np.rint(1e6 * errors.t_s).astype(np.int64) - zero_us
+        order = np.argsort(t_us, kind="stable")
+        norm_mm = 1e3 * np.linalg.norm(errors.p_error_ned, axis=1)
+        columns.append(peaks(grid_us, t_us[order], norm_mm[order])[:, 0])
+    floor_m = result.noise_floor["position_rmse_m"]
+    if floor_m is not None:
+        columns.append(np.where(np.isfinite(columns[0]), 1e3 * floor_m, np.nan))
+    return replace(track, channels={**track.channels, "prediction": np.stack(columns, axis=1)})
 
 
 def page(
     result: Trace,
     flights: Sequence[Flight],
     held_out: Sequence[Flight],
+    shown: Content,
     answer: Mapping[str, Any],
     drawn: Sequence[figures.Figure],
     extra: Mapping[str, Any] | None = None,
 ) -> str:
     """Return the HTML of the report.
 
-    `drawn` are the `pictures` of the result. `extra` adds sections, a list of {title, text, figures, table}
-    under "sections", and entries of the JSON data under "data".
+    `shown` are the `shown_flights`, and `drawn` the `pictures` of the result. `extra` adds sections, a list
+    of {title, text, figures, table} under "sections", links to files beside it (name, text)
+    under "beside", and entries of the JSON data under "data".
     """
     return render(
         "page.html.j2",
@@ -54,15 +91,32 @@ def page(
         words=words,
         result=result,
         figures=drawn,
+        show=component(shown, folded=True),
+        show_words=_show_words(bool(held_out)),
+        titles=titles_of(shown),
         outside=None if result.description is None else figures.dependence(result.description),
         errors=_table(result),
         flights=flights,
         held_out=held_out,
         sections=(extra or {}).get("sections", ()),
+        beside=(extra or {}).get("beside", ()),
         provenance=json.dumps(dict(result.model.provenance), indent=1, default=str),
         data=script_data({**answer, **(extra or {}).get("data", {})}),
         effects=result.space.effects,
     )
+
+
+def titles_of(shown: Content) -> dict[str, str]:
+    """Return the title of each flight, by the id of its log."""
+    return {row["id"]: track.name for row, track in zip(shown.flights, shown.tracks, strict=True)}
+
+
+def _show_words(held_out: bool) -> str:
+    """Return what a reader can do with the flights."""
+    words = "Tick the flights to compare; a heading shows its flights only."
+    if held_out:
+        words += " Held-out flights have their prediction error before and after, over time and on the path."
+    return words
 
 
 def _table(result: Trace) -> list[dict[str, Any]]:

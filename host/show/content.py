@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass, field
+from collections import Counter
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,17 +19,15 @@ from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.models.file import read_model
 from trimtab.host.plan.files import SUFFIX as REFERENCE_SUFFIX
 from trimtab.host.plan.files import read_course
-from trimtab.host.route import Route
+from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.route.shapes import Box, Cylinder, Sphere
 from trimtab.host.show.flights import UP, ShownFlight, flight_facts, flight_track, read_shown
 from trimtab.host.show.lattice import Track, step_for
 from trimtab.host.show.models import model_facts
-from trimtab.host.show.plans import plan_facts, plan_track
+from trimtab.host.show.plans import Course, plan_facts, plan_track
 from trimtab.host.vehicle import ConfigurationError, Vehicle, list_vehicles, load_vehicle
 from trimtab.host.workspace import Workspace
 from trimtab.protocol.blobs import Reference
-
-Course = tuple[Route, tuple[float, ...]]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -79,31 +78,70 @@ def read_content(inputs: Sequence[Path], space: Workspace, vehicle: Vehicle | No
     models = [model_facts(read_model(path), path, effects) for path in files.models]
     total_us = sum(s.span_us[1] - s.span_us[0] for _, s in shown)
     step_us = step_for(total_us + sum(reference.duration_us for _, reference in references))
-    known = dict(references)
-    scene: dict[str, Course] = {}
-    flights, plans, tracks = [], [], []
-    for path, flight in shown:
-        course = _course_of(flight.flight.reference_id, [path.parent, *(ref.parent for ref in known)])
-        if course is not None:
-            scene[course[0].id] = course
-        flights.append(flight_facts(flight, path, None if course is None else course[0].name))
-        tracks.append(flight_track(flight, path.name, step_us))
+    flights, tracks, courses = _flown(shown, [path.parent for path, _ in references], step_us)
+    plans = []
     for path, reference in references:
         course = read_course(path, reference.id)
         if course is not None:
-            scene[course[0].id] = course
+            courses.append((reference.id, course))
         route = None if course is None else course[0]
         craft = vehicle_of(reference, vehicle, [s.flight.vehicle for _, s in shown], space)
         plans.append(plan_facts(reference, path, craft, route))
-        tracks.append(plan_track(reference, craft, route, path.name, step_us))
+        tracks.append(plan_track(reference, craft, course, path.name, step_us))
     return Content(
-        flights=flights,
-        plans=plans,
-        models=models,
-        tracks=tracks,
-        scene=_scene(list(scene.values())),
-        notes=notes,
+        flights=flights, plans=plans, models=models, tracks=tracks, scene=_scene(courses), notes=notes
     )
+
+
+def content_of_flights(logs: Sequence[Path]) -> Content:
+    """Return the content of these logs for a report, one track for each. Raises LogError."""
+    shown, notes = _read_logs(_Files(logs=list(logs)))
+    step_us = step_for(sum(s.span_us[1] - s.span_us[0] for _, s in shown))
+    flights, tracks, courses = _flown(shown, [], step_us)
+    return Content(flights=flights, plans=[], models=[], tracks=tracks, scene=_scene(courses), notes=notes)
+
+
+def content_of_plan(reference: Reference, course: Course, vehicle: Vehicle, model: ResidualModel) -> Content:
+    """Return the content of one plan for its report. model: predicts the residual that is shown."""
+    step_us = step_for(reference.duration_us)
+    return Content(
+        flights=[],
+        plans=[],
+        models=[],
+        tracks=[plan_track(reference, vehicle, course, course[0].name, step_us, model)],
+        scene=_scene([(reference.id, course)]),
+        notes=[],
+    )
+
+
+def _flown(
+    shown: Sequence[tuple[Path, ShownFlight]], folders: Sequence[Path], step_us: int
+) -> tuple[list[dict[str, Any]], list[Track], list[tuple[str | None, Course]]]:
+    """Return facts and track of each flight, and the courses that are known, with their references.
+
+    folders: further folders with the records of references.
+    """
+    flights, tracks, courses = [], [], []
+    for path, flight in shown:
+        course = _course_of(flight.flight.reference_id, [path.parent, *folders])
+        route = None if course is None else course[0].name
+        flights.append(flight_facts(flight, path, route))
+        track = flight_track(flight, _title(flight, path, route), step_us)
+        tracks.append(replace(track, group=route or ""))
+        if course is not None:
+            courses.append((tracks[-1].reference_id, course))
+    counts = Counter(track.name for track in tracks)
+    tracks = [
+        track if counts[track.name] == 1 else replace(track, name=f"{track.name} ({path.name})")
+        for track, (path, _) in zip(tracks, shown, strict=True)
+    ]
+    return flights, tracks, courses
+
+
+def _title(shown: ShownFlight, path: Path, route: str | None) -> str:
+    """Return route and index of a flight, or the name of its log where these are not known."""
+    index = shown.flight.metadata.get("flight")
+    return path.stem if route is None or index is None else f"{route} {index}"
 
 
 def _sorted(inputs: Sequence[Path]) -> _Files:
@@ -192,10 +230,23 @@ def vehicle_of(
     return None
 
 
-def _scene(courses: Sequence[Course]) -> dict[str, Any]:
-    """Return waypoints, gates and keep-out shapes of the routes, in north, east, up."""
-    waypoints, gates, shapes = [], [], []
-    for route, times_s in courses:
+def _scene(courses: Iterable[tuple[str | None, Course]]) -> dict[str, Any]:
+    """Return waypoints, gates and keep-out shapes of the routes, in north, east, up.
+
+    Each is listed once, with the references of its route.
+    """
+    by_route: dict[str, Course] = {}
+    references: dict[str, list[str | None]] = {}
+    for reference, course in courses:
+        by_route[course[0].id] = course
+        known = references.setdefault(course[0].id, [])
+        if reference not in known:
+            known.append(reference)
+    waypoints: list[dict[str, Any]] = []
+    gates: list[dict[str, Any]] = []
+    shapes: list[dict[str, Any]] = []
+    for identity, (route, times_s) in by_route.items():
+        first = len(waypoints), len(gates), len(shapes)
         for k, (point, t_s) in enumerate(zip(route.waypoints_m, times_s, strict=True)):
             waypoints.append({"p": _up(point), "t_s": t_s, "label": str(k)})
         for gate in route.gates or ():
@@ -206,6 +257,9 @@ def _scene(courses: Sequence[Course]) -> dict[str, Any]:
                 corners = [_up(corner) for corner in gate.corners_ned(centre)]
                 gates.append({"kind": "opening", "corners": corners})
         shapes += [_shape(shape) for shape in route.keep_out]
+        for rows, start in zip((waypoints, gates, shapes), first, strict=True):
+            for row in rows[start:]:
+                row["references"] = references[identity]
     return {"waypoints": waypoints, "gates": gates, "keep_out": shapes}
 
 

@@ -25,6 +25,7 @@ class Track:
 
     Times are on a lattice: sample i of each channel is at (first + i) * step_us after the time `zero`. A
     channel is (samples, width), NaN where there is no value. `what` is "flight", "import" or "plan".
+    `group` is the heading under which a reader chooses the track, `shown` whether it is chosen at first.
     """
 
     name: str
@@ -37,6 +38,8 @@ class Track:
     channels: dict[str, Annotated[Floats, "samples width"]]
     events: tuple[dict[str, Any], ...] = ()
     vehicle: dict[str, Any] = field(default_factory=dict)
+    group: str = ""
+    shown: bool = True
 
     def to_json(self) -> dict[str, Any]:
         """Return the track for the page; channels as little-endian float32 in base64, row by row."""
@@ -50,6 +53,8 @@ class Track:
             "step_s": self.step_us * 1e-6,
             "events": list(self.events),
             "vehicle": self.vehicle,
+            "group": self.group,
+            "shown": self.shown,
             "channels": {
                 name: {"width": values.shape[1], "data": encoded(values)}
                 for name, values in self.channels.items()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +19,26 @@ from trimtab.host.show.lattice import Track, euler_deg, lattice, quaternions, wr
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 
+Course = tuple[Route, tuple[float, ...]]
+"""A route, and the times of its waypoints, s."""
+
+
+NOMINAL = ResidualModel()
+
 
 def plan_track(
-    reference: Reference, vehicle: Vehicle | None, route: Route | None, name: str, step_us: int
+    reference: Reference,
+    vehicle: Vehicle | None,
+    course: Course | None,
+    name: str,
+    step_us: int,
+    model: ResidualModel = NOMINAL,
 ) -> Track:
-    """Return a reference on the lattice; attitude, thrusts and margins only with its vehicle."""
+    """Return a reference on the lattice; attitude, thrusts and margins only with its vehicle.
+
+    model: predicts the residual that is shown, if any.
+    """
+    route = None if course is None else course[0]
     grid_us = lattice(0, reference.duration_us, step_us)
     flat = reference_at(reference, grid_us)
     channels: dict[str, Any] = {
@@ -33,7 +49,9 @@ def plan_track(
     if vehicle is None:
         channels["yaw_ref"] = wrapped_deg(flat[:, 12])[:, None]
     else:
-        along = nominal_profile(reference, vehicle, grid_us)
+        along = profile_of(reference, vehicle, grid_us, model)
+        if along.residual_m_s2 is not None:
+            channels["residual"] = along.residual_m_s2[:, None]
         channels["q"] = quaternions(along.x[THETA].T)
         channels["attitude"] = euler_deg(channels["q"])
         channels["rate"] = along.rate_frd.T
@@ -49,16 +67,25 @@ def plan_track(
         first=0,
         step_us=step_us,
         channels=channels,
+        group="" if route is None else route.name,
+        events=() if course is None else tuple(waypoint_events(course[1])),
         vehicle={}
         if vehicle is None
         else {"rotors_frd_m": [list(rotor.position_m) for rotor in vehicle.rotors]},
     )
 
 
-def nominal_profile(reference: Reference, vehicle: Vehicle, times_us: np.ndarray) -> Profile:
+def waypoint_events(times_s: Sequence[float]) -> list[dict[str, Any]]:
+    """Return an event at each waypoint."""
+    return [{"t_s": t_s, "kind": "waypoint", "text": str(k)} for k, t_s in enumerate(times_s)]
+
+
+def profile_of(
+    reference: Reference, vehicle: Vehicle, times_us: np.ndarray, model: ResidualModel = NOMINAL
+) -> Profile:
     """Return the motion of the nominal vehicle along the reference at these times."""
     table, yaws = from_reference(reference), reference.yaw_nodes()
-    return profile(vehicle, ResidualModel(), table, yaws, times_us.astype(float))
+    return profile(vehicle, model, table, yaws, times_us.astype(float))
 
 
 def limits_of(vehicle: Vehicle, route: Route | None) -> Any:
@@ -74,7 +101,7 @@ def plan_facts(
     flat = reference_at(reference, times_us)
     margins: dict[str, float] | None = None
     if vehicle is not None:
-        along = nominal_profile(reference, vehicle, times_us)
+        along = profile_of(reference, vehicle, times_us)
         keep_out = () if route is None else route.keep_out
         margins = {
             name: float(values.min())

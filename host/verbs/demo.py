@@ -69,6 +69,7 @@ def command(
         *result_lines(outcome.result),
         *report.summary(outcome.answer),
         f"done in {seconds:.0f} s; the report is {outcome.answer['report']}",
+        f"what the simulated world held is in {outcome.answer['truth']}",
     )
     steps = [{"step": title, "seconds": round(spent, 3)} for title, spent in outcome.steps]
     emit({**outcome.answer, "seconds": round(seconds, 3), "steps": steps}, json)

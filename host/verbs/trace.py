@@ -125,7 +125,7 @@ def _write(
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import json_text
     from trimtab.host.models.file import write_model
-    from trimtab.host.report.trace import page, pictures
+    from trimtab.host.report.trace import page, pictures, shown_flights
     from trimtab.host.trace.answer import to_json
 
     network = None if result.unexplained is None else result.unexplained.model
@@ -135,7 +135,8 @@ def _write(
         report_path=str(folder / REPORT_NAME),
         network_path=None if network is None else str(folder / NETWORK_NAME),
     )
-    report = page(result, flights, held_out, answer, pictures(result))
+    shown = shown_flights(result, flights, held_out)
+    report = page(result, flights, held_out, shown, answer, pictures(result))
     folder.mkdir(parents=True, exist_ok=True)
     write_model(result.model, folder / MODEL_NAME, force=force)
     if network is not None:

@@ -2,39 +2,19 @@
 
 from __future__ import annotations
 
-import html
-import json
-import re
 import shutil
-import subprocess
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
 import pytest
 
+from tests.browser import ask, draws, fits
 from trimtab.host.report.show import page
 from trimtab.host.show.content import read_content
 from trimtab.host.workspace import open_workspace
 
 DATA = Path(__file__).parent.parent / "data"
-FLAGS = (
-    "--headless",
-    "--no-sandbox",
-    "--disable-gpu",
-    "--disable-background-networking",
-    "--disable-component-update",
-    "--disable-sync",
-    "--allow-file-access-from-files",  # so that the frame below can be read
-    "--window-size=1400,1000",
-    "--dump-dom",
-)
-FRAME = """<iframe id="frame" width="{width}" height="900" src="{page}#check"></iframe><pre id="said"></pre>
-<script>document.getElementById("frame").onload = () => {{
-  const inside = document.getElementById("frame").contentDocument;
-  document.getElementById("said").textContent = inside.getElementById("check").textContent;
-}};</script>"""
-"""A window cannot be as narrow as a phone; a frame can."""
 FLIGHT = ["Tracking error", "Position", "Velocity", "Attitude", "Body rate", "Motor commands"]
 
 
@@ -42,37 +22,19 @@ FLIGHT = ["Tracking error", "Position", "Velocity", "Attitude", "Body rate", "Mo
 def checked(require: Callable[[str], None], tmp_path: Path) -> Callable[..., dict[str, Any]]:
     """What the page of some inputs says of itself at a width, CSS pixels."""
     require("browser")
-    names = ("chromium", "chromium-browser", "google-chrome")
-    browser = next(path for path in map(shutil.which, names) if path is not None)
 
     def check(*inputs: Path, width: int) -> dict[str, Any]:
-        text = page(read_content(inputs, open_workspace(tmp_path)))
-        (tmp_path / "page.html").write_text(text, encoding="utf-8")
-        (tmp_path / "frame.html").write_text(FRAME.format(width=width, page="page.html"), encoding="utf-8")
-        done = subprocess.run(
-            [browser, *FLAGS, f"--user-data-dir={tmp_path / 'profile'}", (tmp_path / "frame.html").as_uri()],
-            capture_output=True,
-            text=True,
-            check=True,
-        )
-        (said,) = re.findall(r'<pre id="said">(.*?)</pre>', done.stdout, flags=re.DOTALL)
-        assert said, "the page ended before its check"
-        return json.loads(html.unescape(said))
+        target = tmp_path / "page.html"
+        target.write_text(page(read_content(inputs, open_workspace(tmp_path))), encoding="utf-8")
+        return ask(target, tmp_path, width=width)
 
     return check
 
 
 def holds(said: dict[str, Any], width: int) -> None:
-    """What every page must hold."""
-    assert said["errors"] == []
-    assert said["requests"] == 0
-    assert (said["width"], said["overflow"]) == (width, 0)
-    for plot, places in zip(said["plots"], said["cursor_places"], strict=True):
-        assert plot["series"] > 0
-        assert plot["colours"] > 20, plot["title"]  # axes, labels and lines, smoothed
-        assert places > 40, plot["title"]
-    assert said["scene_colours"] > 100
-    assert said["vehicle_places"] > 20
+    """What every page of flights must hold."""
+    fits(said, width)
+    draws(said)
 
 
 @pytest.mark.full  # a browser
@@ -93,6 +55,7 @@ def test_page_of_several_flights_has_a_plot_for_each_axis(checked: Callable[...,
         "Position: east",
     ]
     assert said["plots"][0]["series"] == 2
+    assert said["choices"] == 2
 
 
 @pytest.mark.full  # a browser
@@ -108,7 +71,25 @@ def test_page_of_a_model_has_no_error_and_fits(
     checked: Callable[..., dict[str, Any]], drag_model: str, tmp_path: Path
 ) -> None:
     said = checked(tmp_path / drag_model, width=390)
-    assert (said["errors"], said["overflow"]) == ([], 0)
+    fits(said, 390)
+    assert said["errors"] == []
+
+
+@pytest.mark.full  # a browser
+@pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
+def test_report_of_a_plan_is_drawn_and_fits(
+    require: Callable[[str], None],
+    trimtab: Callable[..., dict[str, Any]],
+    tmp_path: Path,
+    width: int,
+    dark: bool,
+) -> None:
+    require("browser")
+    trimtab("plan", "low-high", "--report", "plan.html", "-o", "a.ref")
+    said = ask(tmp_path / "plan.html", tmp_path, width=width, dark=dark)
+    fits(said, width, dark=dark)
+    draws(said, dark=dark)
+    assert [plot["title"] for plot in said["plots"]][2:4] == ["Planned speed", "Margin to the limits"]
 
 
 def test_verb_writes_beside_the_input_and_overwrites_nothing(

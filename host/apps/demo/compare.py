@@ -6,7 +6,7 @@ this, a control law that compensates the delay and flies better would seem to fl
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from math import sqrt
 from typing import Any
@@ -190,10 +190,10 @@ def latency_of(result: Trace) -> float:
     return float(mocap_latency_s(FLOAT, result.model.parts(result.space.effects, "effects")))
 
 
-def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
+def what_got_worse(comparison: Comparison, result: Trace, names: Mapping[str, str]) -> list[str]:
     """Return a sentence for each flight or prediction that is worse in some figure.
 
-    A flight is worse if its figure exceeds that of every first flight.
+    A flight is worse if its figure exceeds that of every first flight. names: of held-out flights, by id.
     """
     out = []
     for flight in (comparison.new_plan, comparison.applied):
@@ -211,7 +211,7 @@ def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
             )
         if worse:
             out.append(f"{flight.label}: {', '.join(worse)}.")
-    for k, (b, a) in enumerate(zip(result.before, result.after, strict=True)):
+    for b, a in zip(result.before, result.after, strict=True):
         before, after = (np.sqrt((e.p_error_ned**2).mean(axis=0)) for e in (b, a))
         worse = [
             f"{axis} {1e3 * before[i]:.1f} to {1e3 * after[i]:.1f} mm"
@@ -219,7 +219,7 @@ def what_got_worse(comparison: Comparison, result: Trace) -> list[str]:
             if after[i] > before[i]
         ]
         if worse:
-            out.append(f"Prediction of held-out flight {k + 1} ({b.flight}): {', '.join(worse)}.")
+            out.append(f"Prediction of held-out flight {names[b.flight]}: {', '.join(worse)}.")
     return out
 
 

@@ -15,6 +15,8 @@ from trimtab.host.vehicle import Vehicle
 MODEL_NAME = "demo.model.toml"
 REPORT_NAME = "demo.html"
 JSON_NAME = "demo.json"
+TRUTH_PAGE = "truth.html"
+"""The one artefact with the sealed truth; written after JSON_NAME."""
 FEEDFORWARD_NAME = "applied.ff"
 
 

@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 from trimtab.host.apps.demo.compare import AXES, Comparison, Tracked, what_got_worse
-from trimtab.host.report import figures
+from trimtab.host.apps.demo.files import TRUTH_PAGE
+from trimtab.host.show.content import Content
 from trimtab.host.trace.result import Trace
 from trimtab.host.vehicle import Vehicle
 
 Section = dict[str, Any]
 
 
-def sections(comparison: Comparison, result: Trace, vehicle: Vehicle) -> dict[str, Any]:
-    """Return what `trimtab.host.report.trace.page` takes as `extra`."""
+def sections(
+    comparison: Comparison, result: Trace, vehicle: Vehicle, names: Mapping[str, str]
+) -> dict[str, Any]:
+    """Return what `trimtab.host.report.trace.page` takes as `extra`. names: of held-out flights, by id."""
     return {
-        "sections": [_flown(comparison, vehicle), _worse(comparison, result)],
+        "sections": [_flown(comparison, vehicle), _worse(comparison, result, names)],
+        "beside": [(TRUTH_PAGE, "What the simulated world held, beside this verdict")],
         "data": comparison.to_json(),
     }
 
@@ -28,7 +34,7 @@ def _flown(comparison: Comparison, vehicle: Vehicle) -> Section:
         "title": "Flown before and after",
         "text": _text(comparison),
         "table": [head, *_rows(flown, vehicle, comparison.latency_s)],
-        "figures": [_paths(comparison)],
+        "figures": [],
     }
 
 
@@ -93,18 +99,29 @@ def _rows(flown: tuple[Tracked, ...], vehicle: Vehicle, latency_s: float) -> lis
     return rows
 
 
-def _paths(comparison: Comparison) -> figures.Figure:
-    shown = [comparison.first[0], *comparison.flown[len(comparison.first) :]]
-    panels = [
-        (f"{flight.label}: {1e3 * flight.rmse_m:.0f} mm", flight.p_ned, flight.norm_m) for flight in shown
-    ]
-    return figures.paths(
-        panels, "Paths flown, from above, coloured by distance from the reference; one scale for all."
-    )
+def compared(shown: Content, comparison: Comparison) -> Content:
+    """Return the flights with those of the comparison first, under their labels.
+
+    The first of the first flights and the later ones are shown.
+    """
+    labels = {flight.log: flight.label for flight in comparison.flown}
+    repeats = {flight.log for flight in comparison.first[1:]}
+    route = comparison.first[0].planned.route.name
+    first, others = [], []
+    for row, track in zip(shown.flights, shown.tracks, strict=True):
+        log = Path(row["log"]).name
+        if log in labels:
+            name = f"{labels[log]} ({track.name})"
+            named = replace(track, name=name, group=f"route {route}", shown=log not in repeats)
+            first.append((row, named))
+        else:
+            others.append((row, replace(track, shown=False)))
+    rows, tracks = zip(*first, *others, strict=True)
+    return replace(shown, flights=list(rows), tracks=list(tracks))
 
 
-def _worse(comparison: Comparison, result: Trace) -> Section:
-    found = what_got_worse(comparison, result)
+def _worse(comparison: Comparison, result: Trace, names: Mapping[str, str]) -> Section:
+    found = what_got_worse(comparison, result, names)
     none = "No measured error got worse, on any axis, flown or predicted."
     return {"title": "Deteriorations", "text": found or [none], "table": None, "figures": []}
 

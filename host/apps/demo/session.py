@@ -1,4 +1,4 @@
-"""Run one demo: plan, upload, fly, trace, plan again, fly again, report."""
+"""Run one demo: plan, upload, fly, trace, plan again, fly again, report, open the truth."""
 
 from __future__ import annotations
 
@@ -16,13 +16,21 @@ import numpy as np
 from trimtab.host.apps.demo import report
 from trimtab.host.apps.demo.applied import to_apply
 from trimtab.host.apps.demo.compare import Comparison, Tracked, latency_of, pooled_rmse_m, tracked
-from trimtab.host.apps.demo.files import FEEDFORWARD_NAME, JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
+from trimtab.host.apps.demo.files import (
+    FEEDFORWARD_NAME,
+    JSON_NAME,
+    MODEL_NAME,
+    REPORT_NAME,
+    TRUTH_PAGE,
+    DemoFiles,
+)
 from trimtab.host.apps.demo.flights import WORLD, Airfield, upload_through_pty
 from trimtab.host.apps.demo.plans import Planned, fastest, plan_again, plan_first
 from trimtab.host.apps.demo.predict import predicted_rmse_m
 from trimtab.host.apps.demo.routes import DemoRoutes, draw_routes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
 from trimtab.host.apps.demo.steps import OnMessage, Steps
+from trimtab.host.apps.demo.truth_page import write_truth_page
 from trimtab.host.base.errors import FlightFailed, Refused, SolverError, TrimtabError
 from trimtab.host.base.output import json_text
 from trimtab.host.effects import Effect
@@ -32,7 +40,7 @@ from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan
 from trimtab.host.plan.residual import ResidualModel
 from trimtab.host.report.figures import Figure
-from trimtab.host.report.trace import page, pictures
+from trimtab.host.report.trace import page, pictures, shown_flights, titles_of
 from trimtab.host.trace.answer import to_json
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import Manoeuvres, run
@@ -129,6 +137,7 @@ class _Demo:
             session=self._files.session(),
         )
         self._flights = 0
+        self._later: list[Flight] = []
         self._failures: list[TrimtabError] = []
 
     def run(self) -> Outcome:
@@ -146,6 +155,8 @@ class _Demo:
         write_model(result.model, model_path, force=self._request.force)
         comparison, drawn = self._again(learning, used, result)
         answer = self._report(result, comparison, used, unseen, drawn)
+        with self._steps.step("truth") as (_, done):
+            done(write_truth_page(self._files, used[0][1], self._effects))
         return Outcome(
             result=result,
             comparison=comparison,
@@ -317,9 +328,10 @@ class _Demo:
                     landed[order] = None, self._failed(error)
                     figures.append(f"{order.label}: {landed[order][1]}")
                 else:
+                    self._later.append(read_flight(log))
                     again = tracked(
                         order.label,
-                        read_flight(log),
+                        self._later[-1],
                         order.planned,
                         latency_s=latency_of(result),
                         predicted_rmse_m=predicted_m,
@@ -365,19 +377,26 @@ class _Demo:
     ) -> dict[str, Any]:
         with self._steps.step("report") as (_, done):
             answer = to_json(result, model_path=MODEL_NAME, report_path=REPORT_NAME) | comparison.to_json()
+            flights, held_out = [flight for _, flight in used], [flight for _, flight in unseen]
+            shown = report.compared(shown_flights(result, flights, held_out, self._later), comparison)
             html = page(
                 result,
-                [flight for _, flight in used],
-                [flight for _, flight in unseen],
+                flights,
+                held_out,
+                shown,
                 answer,
                 drawn,
-                report.sections(comparison, result, self._request.vehicle),
+                report.sections(comparison, result, self._request.vehicle, titles_of(shown)),
             )
             self._files.write(REPORT_NAME, html)
             self._files.write(JSON_NAME, json_text(answer) + "\n")
             done(f"one file of {len(html.encode()) / 1024:.0f} KiB")
         folder = self._request.folder
-        return answer | {"model": str(folder / MODEL_NAME), "report": str(folder / REPORT_NAME)}
+        return answer | {
+            "model": str(folder / MODEL_NAME),
+            "report": str(folder / REPORT_NAME),
+            "truth": str(folder / TRUTH_PAGE),
+        }
 
     # Parts of steps.
 

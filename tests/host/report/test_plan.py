@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import base64
 import json
 import re
 from dataclasses import replace
@@ -9,9 +10,8 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-import matplotlib.pyplot as plt
+import numpy as np
 import pytest
-from matplotlib.patches import Circle, Polygon
 
 from trimtab.host.effects import load_effects
 from trimtab.host.models.region import Region
@@ -21,9 +21,8 @@ from trimtab.host.plan.pareto import Point
 from trimtab.host.plan.profile import profile
 from trimtab.host.plan.sensitivity import sensitivity
 from trimtab.host.plan.table import from_reference
-from trimtab.host.report import plan_figures, plan_path, trade_figures
+from trimtab.host.report import plan_figures, trade_figures
 from trimtab.host.report.plan import page, trade_page
-from trimtab.host.report.plan_path import path
 from trimtab.host.route import Gate, Route
 from trimtab.host.route.shapes import Box, Cylinder, Sphere
 from trimtab.host.shooting.problem import SolveStatus
@@ -64,9 +63,15 @@ def data(html: str) -> dict[str, Any]:
     return json.loads(text)
 
 
-def test_plan_page_has_three_pictures_every_margin_and_nothing_from_elsewhere(made: Plan, html: str) -> None:
+def shown(html: str) -> dict[str, Any]:
+    """What the page draws."""
+    (text,) = re.findall(r'<script type="application/json" id="show-data">(.*?)</script>', html)
+    return json.loads(text)
+
+
+def test_plan_page_has_its_path_every_margin_and_nothing_from_elsewhere(made: Plan, html: str) -> None:
     assert "<title>around: min-snap " in html
-    assert html.count("<img ") == 3
+    assert html.count("<img ") == 1
     assert not re.search(r'(src|href)="(?!data:)', html)
     names = (
         "geofence",
@@ -102,20 +107,23 @@ def test_plan_page_says_the_solvers_status_in_words() -> None:
     assert "greatest distance from the solver&#39;s path" in html
 
 
-def test_plan_page_without_a_model_colours_by_speed_and_says_what_is_not_known(html: str) -> None:
+def test_plan_page_without_a_model_shows_no_residual_and_says_what_is_not_known(html: str) -> None:
     bare = plan(ROUTE, VEHICLE)
     without = page(bare, ROUTE, VEHICLE, ResidualModel(), {})
-    assert "coloured by speed" in without
     assert "none, without a model" in without
-    assert "coloured by predicted residual" in html
+    assert "residual" not in shown(without)["tracks"][0]["channels"]
+    assert "residual" in shown(html)["tracks"][0]["channels"]
 
 
-def test_plan_pictures_say_how_far_it_goes(made: Plan) -> None:
+def test_plan_page_shows_waypoints_keep_out_shapes_and_what_the_model_predicts(made: Plan, html: str) -> None:
     along = profile(VEHICLE, MODEL, from_reference(made.reference), made.reference.yaw_nodes())
-    over_time = plan_figures.over_time(made, along)
-    assert f"speed up to {along.speed_m_s.max():.2f} m/s" in over_time.alt
-    assert "Grey" in over_time.caption
-    assert "0 gates, 3 keep-out shapes" in path(ROUTE, along).alt
+    ((track,), scene) = (shown(html)[key] for key in ("tracks", "scene"))
+    values = np.frombuffer(base64.b64decode(track["channels"]["residual"]["data"]), dtype="<f4")
+    assert along.residual_m_s2 is not None
+    assert values.max() == pytest.approx(along.residual_m_s2.max(), rel=1e-3)
+    assert [point["p"] for point in scene["waypoints"]] == [[n, e, -d] for n, e, d in ROUTE.waypoints_m]
+    assert [event["t_s"] for event in track["events"]] == list(made.waypoint_times_s)
+    assert sorted(shape["kind"] for shape in scene["keep_out"]) == ["box", "cylinder", "sphere"]
 
 
 def test_trade_page_has_a_row_for_every_plan_and_the_reason_of_one_that_failed(made: Plan) -> None:
@@ -207,28 +215,3 @@ def test_page_of_a_route_with_gates_tells_where_the_nearest_edge_is() -> None:
     assert cells[4] in times
     node = gated.reference.nodes[int(cells[3])]
     assert f"{node.t_us * 1e-6:.2f}" == cells[4]
-
-
-def test_path_picture_draws_each_gate_in_both_views_where_it_is(monkeypatch: pytest.MonkeyPatch) -> None:
-    route = GATED.model_copy(update={"keep_out": ROUTE.keep_out[:1]})
-    snap = plan(route, VEHICLE, kind="min-snap")
-    along = profile(VEHICLE, ResidualModel(), from_reference(snap.reference), snap.reference.yaw_nodes())
-    drawn: list[Any] = []
-    monkeypatch.setattr(plan_path, "finish", lambda canvas, *told: drawn.append((canvas, told)))
-    path(route, along)
-    ((canvas, (caption, alt)),) = drawn
-    above, side = canvas.axes[:2]
-    rings = [[patch for patch in ax.patches if isinstance(patch, Circle)] for ax in (above, side)]
-    assert [(ring.center, ring.radius) for (ring,) in rings] == [((1.2, 1.7), 0.3), ((1.7, 1.6), 0.3)]
-    for ax, corners in (  # an opening across north: a line from above, and seen edge-on from the east
-        (above, [(2.0, 0.0), (2.8, 0.0)]),
-        (side, [(0.0, 1.7), (0.0, 2.3)]),
-    ):
-        (opening,) = [patch for patch in ax.patches if isinstance(patch, Polygon)]
-        found = {(round(float(x), 9) + 0.0, round(float(y), 9) + 0.0) for x, y in opening.get_xy()}
-        assert found == set(corners)
-    names = [text.get_text() for text in canvas.legends[0].get_texts()]
-    assert names == ["waypoint", "gate, a sphere", "gate, an opening", "keep-out shape"]
-    assert "projection" in caption
-    assert "2 gates, 1 keep-out shapes" in alt
-    plt.close(canvas)

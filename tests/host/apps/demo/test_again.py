@@ -113,6 +113,7 @@ def test_demo_verb_after_a_second_flight_that_failed_answers_and_ends_with_its_e
     answer = {
         "verdict": "traced",
         "report": "demo.html",
+        "truth": "truth.html",
         "tracking_rmse_first_m": 0.1,
         "tracking_rmse_new_plan_m": None,
         "tracking_rmse_applied_m": None,

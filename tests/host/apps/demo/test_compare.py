@@ -114,7 +114,7 @@ def test_what_got_worse_names_every_figure_beyond_all_first_flights(planned: Pla
         applied=made(planned, "applied", 0.04),
         latency_s=0.0,
     )
-    (line,) = what_got_worse(comparison, no_prediction())
+    (line,) = what_got_worse(comparison, no_prediction(), {})
     for text in ("new plan: ", "tracking RMSE 86.6 to 103.9 mm", "RMSE down", "limits 0.00 to 1.00 %"):
         assert text in line
 
@@ -127,14 +127,14 @@ def test_what_got_worse_tells_predictions_by_flight_and_axis(planned: Planned) -
         after=[SimpleNamespace(p_error_ned=after, flight="aa")],
     )
     comparison = Comparison(first=(made(planned, "first", 0.05),), latency_s=0.0, **NOTHING)
-    assert what_got_worse(comparison, trace) == [
-        "Prediction of held-out flight 1 (aa): down 20.0 to 30.0 mm."
+    assert what_got_worse(comparison, trace, {"aa": "check 3"}) == [
+        "Prediction of held-out flight check 3: down 20.0 to 30.0 mm."
     ]
 
 
 def test_report_of_a_demo_without_a_second_plan_says_why(planned: Planned, vehicle: Vehicle) -> None:
     comparison = Comparison(first=(made(planned, "first flight 1", 0.03),), latency_s=0.0, **NOTHING)
-    flown, worse = report.sections(comparison, no_prediction(), vehicle)["sections"]
+    flown, worse = report.sections(comparison, no_prediction(), vehicle, {})["sections"]
     assert "No new plan was flown: nothing was traced." in flown["text"][0]
     assert len(flown["table"][0]) == 2
     assert "No measured error got worse" in worse["text"][0]
@@ -154,7 +154,7 @@ def test_report_of_a_demo_without_a_new_plan_says_what_flew_with_the_effects(
         applied=made(planned, "first plan, effects applied", 0.01),
         no_new_plan="thrust-gain: not a drag",
     )
-    flown, _ = report.sections(comparison, no_prediction(), vehicle)["sections"]
+    flown, _ = report.sections(comparison, no_prediction(), vehicle, {})["sections"]
     for text in ("not a drag.", "(first plan, effects applied)"):
         assert text in flown["text"][0]
     assert report.summary(comparison.to_json())[1:] == [

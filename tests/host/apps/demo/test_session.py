@@ -1,27 +1,32 @@
 """A short demo in a drawn and sealed world, checked afterwards: verdict, files, comparison, and the seal.
 
-Only `opened_truth` opens a truth file, and only once the demo has answered.
+Only `opened_truth` opens a truth file, and only once the demo has answered. The demo itself opens one for its
+last page, when its verdict is a file; an audit hook notes when.
 """
 
 from __future__ import annotations
 
+import base64
 import json
 import shutil
 import struct
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 from mcap.reader import make_reader
 
-from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME, DemoFiles
+from tests.browser import ask, draws, fits, printed
+from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME, TRUTH_PAGE, DemoFiles
 from trimtab.host.apps.demo.flights import TRUTH_SUFFIX, WORLD, Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
 from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
+from trimtab.host.base.artefacts import content_id
 from trimtab.host.base.workers import workers
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
@@ -34,6 +39,19 @@ pytestmark = pytest.mark.xdist_group("demo")
 
 SEED = 13_806_490
 NEUTRAL = {"gain": 1.0}
+OPENED: list[tuple[str, bool]] = []
+"""Each truth file that was read, and whether the verdict of its folder was a file by then."""
+BY_DEMO: list[tuple[str, bool]] = []
+"""Those that the demo read."""
+
+
+def _note_truth(event: str, words: tuple[object, ...]) -> None:
+    if event == "open" and str(words[0]).endswith(TRUTH_SUFFIX) and str(words[1]).startswith("r"):
+        path = Path(str(words[0]))
+        OPENED.append((path.name, path.with_name(JSON_NAME).is_file()))
+
+
+sys.addaudithook(_note_truth)
 
 
 @pytest.fixture(scope="module")
@@ -43,8 +61,11 @@ def demo(
     folder = tmp_path_factory.mktemp("demo")
     order = DemoRequest(vehicle=load_vehicle("research"), folder=folder, seed=SEED, routes=short_routes)
     said: list[str] = []
+    OPENED.clear()
     with workers(2) as pool:
-        return folder, run_demo(order, load_effects(), pool, on_message=said.append), said
+        outcome = run_demo(order, load_effects(), pool, on_message=said.append)
+    BY_DEMO.extend(OPENED)
+    return folder, outcome, said
 
 
 Demo = tuple[Path, Outcome, list[str]]
@@ -154,7 +175,7 @@ def test_demo_leaves_every_artefact_whole(demo: Demo) -> None:
     names = {path.name for path in folder.iterdir()}
     flown = ["turning"] * 2 + ["fast"] * 2 + ["unseen"] + ["fast-again"] * 2
     logs = [f"{k:02d}-{name}.mcap" for k, name in enumerate(flown, start=1)]
-    wanted = {REPORT_NAME, MODEL_NAME, JSON_NAME, "applied.ff"} | set(logs)
+    wanted = {REPORT_NAME, MODEL_NAME, JSON_NAME, TRUTH_PAGE, "applied.ff"} | set(logs)
     wanted |= {log + TRUTH_SUFFIX for log in logs}
     wanted |= {f"{name}.ref{end}" for name in {*flown} for end in ("", ".json")}
     assert names == wanted
@@ -176,7 +197,7 @@ def test_demo_leaves_every_artefact_whole(demo: Demo) -> None:
     assert record["reference"] == Reference.from_bytes((folder / "fast-again.ref").read_bytes()).id
     begin, *lines = said
     assert str(folder) in begin
-    assert len(lines) == len(outcome.steps) == 7
+    assert len(lines) == len(outcome.steps) == 8
     assert all(line.startswith(f"{k}. ") for k, line in enumerate(lines, start=1))
 
 
@@ -184,9 +205,10 @@ def test_demo_answers_with_the_keys_of_trace_and_its_own(demo: Demo) -> None:
     folder, outcome, _ = demo
     keys = set(to_json(outcome.result))
     own = {"tracking_rmse_first_m", "tracking_rmse_new_plan_m", "tracking_rmse_applied_m", "comparison"}
-    assert set(outcome.answer) == keys | own
+    assert set(outcome.answer) == keys | own | {"truth"}
     written = json.loads((folder / JSON_NAME).read_text())
-    assert written == {**outcome.answer, "model": MODEL_NAME, "report": REPORT_NAME}
+    told = {key: value for key, value in outcome.answer.items() if key != "truth"}
+    assert written == {**told, "model": MODEL_NAME, "report": REPORT_NAME}
 
 
 def test_demo_report_is_one_file_with_both_comparisons_and_its_numbers(demo: Demo) -> None:
@@ -196,6 +218,84 @@ def test_demo_report_is_one_file_with_both_comparisons_and_its_numbers(demo: Dem
     assert "http://" not in html.replace("http://www.w3.org", "")
     data = html.partition('<script type="application/json" id="data">')[2].partition("</script>")[0]
     assert json.loads(data)["comparison"] == demo[1].answer["comparison"]
+    assert len(html.encode()) < 3_000_000
+
+
+def test_demo_report_shows_every_flight_by_route_and_index(demo: Demo) -> None:
+    html = (demo[0] / REPORT_NAME).read_text()
+    data = html.partition('<script type="application/json" id="show-data">')[2].partition("</script>")[0]
+    shown = json.loads(data)
+    names = {track["name"]: (track["group"], track["shown"]) for track in shown["tracks"]}
+    assert names == {
+        "first flight 1 (fast 3)": ("route fast", True),
+        "first flight 2 (fast 4)": ("route fast", False),
+        "new plan (fast 6)": ("route fast", True),
+        "new plan, effects applied (fast 7)": ("route fast", True),
+        "turning 1": ("learned from", False),
+        "turning 2": ("learned from", False),
+        "unseen 5": ("held out", False),
+    }
+    (unseen,) = [track for track in shown["tracks"] if track["name"] == "unseen 5"]
+    rows = np.frombuffer(base64.b64decode(unseen["channels"]["prediction"]["data"]), dtype="<f4")
+    before, after = (
+        np.sqrt(np.nanmean(rows.reshape(-1, unseen["channels"]["prediction"]["width"])[:, k] ** 2))
+        for k in (0, 1)
+    )
+    answer = demo[1].answer
+    assert before == pytest.approx(1e3 * answer["before"]["position_rmse_m"], rel=0.05)
+    assert after == pytest.approx(1e3 * answer["after"]["position_rmse_m"], rel=0.15)  # of peaks
+    flown = {reference for point in shown["scene"]["waypoints"] for reference in point["references"]}
+    assert flown == {track["reference_id"] for track in shown["tracks"]}
+    assert all(track["simulated"] for track in shown["tracks"])
+
+
+def test_demo_opens_one_truth_and_only_after_its_verdict_is_a_file(demo: Demo) -> None:
+    assert demo[1].answer["verdict"]
+    opened = list(BY_DEMO)
+    assert opened == [(f"01-turning.mcap{TRUTH_SUFFIX}", True)]
+
+
+def test_truth_page_has_the_sealed_values_beside_the_found_ones(demo: Demo) -> None:
+    folder, outcome, _ = demo
+    html, truth = (folder / TRUTH_PAGE).read_text(), opened_truth(demo)
+    assert "The verdict is right" in html
+    for effect in outcome.answer["effects"]:
+        for key, true in truth["effects"][effect["name"]].items():
+            found = effect["parameters"][key]
+            for value in (f"{true:.4g}", f"{found['value']:.4g}", f"{found['sd']:.2g}"):
+                assert f">{value}<" in html, (effect["name"], key)
+            assert f">{round((found['value'] - true) / found['sd'], 1) + 0.0:.1f}<" in html
+    assert content_id((folder / JSON_NAME).read_bytes()) in html
+
+
+@pytest.mark.full  # a browser
+@pytest.mark.parametrize(("width", "dark"), [(390, True), (1280, False)])
+def test_pages_of_a_demo_are_drawn_and_fit(
+    demo: Demo, require: Callable[[str], None], tmp_path: Path, width: int, dark: bool
+) -> None:
+    require("browser")
+    for name in (REPORT_NAME, TRUTH_PAGE):
+        copy = Path(shutil.copy(demo[0] / name, tmp_path))
+        said = ask(copy, tmp_path, width=width, dark=dark)
+        fits(said, width, dark=dark)
+        if name == REPORT_NAME:
+            draws(said, dark=dark)
+            assert said["choices"] == 7
+            assert said["plots"][0] | {"colours": 0, "colours_in_print": 0} == {
+                "title": "Tracking error",
+                "series": 3,
+                "colours": 0,
+                "colours_in_print": 0,
+            }
+
+
+@pytest.mark.full  # a browser
+def test_pages_of_a_demo_print(demo: Demo, require: Callable[[str], None], tmp_path: Path) -> None:
+    require("browser")
+    for name in (REPORT_NAME, TRUTH_PAGE):
+        pdf = printed(demo[0] / name, tmp_path)
+        assert pdf.startswith(b"%PDF")
+        assert len(pdf) > 10_000
 
 
 def test_logs_of_a_demo_tell_nothing_of_the_world(demo: Demo) -> None:
@@ -222,6 +322,7 @@ def test_model_and_report_tell_neither_world_nor_seed_nor_drawn_values(demo: Dem
     forbidden = [truth["world"], str(truth["world_seed"]), str(SEED), str(folder)]
     forbidden += [repr(value) for value in drawn_values(truth)]
     others = [path for path in folder.iterdir() if not path.name.endswith((TRUTH_SUFFIX, ".mcap"))]
+    others.remove(folder / TRUTH_PAGE)  # the one exception
     for path in others:
         text = path.read_bytes()
         assert not [word for word in forbidden if word.encode() in text], path.name

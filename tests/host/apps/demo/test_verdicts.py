@@ -6,7 +6,7 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.apps.demo.files import REPORT_NAME
+from trimtab.host.apps.demo.files import REPORT_NAME, TRUTH_PAGE
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.base.workers import workers
@@ -41,6 +41,7 @@ def test_demo_in_a_world_outside_the_library_says_so_and_adds_nothing(
     page = (tmp_path / REPORT_NAME).read_text()
     assert "Outside the library" in page
     assert answer["reasons"][0] in page
+    assert "The verdict is right" in (tmp_path / TRUTH_PAGE).read_text()
 
 
 # In the full run: the demo goes the same way as above, tracing's own tests have what it says of noise.
@@ -52,4 +53,5 @@ def test_demo_in_a_world_of_tolerances_and_turbulence_finds_nothing_missing(
     answer = run("empty", 3, tmp_path, vehicle, short_routes).answer
     assert answer["verdict"] == "nothing-missing"
     assert answer["effects"] == []
+    assert "The verdict is right" in (tmp_path / TRUTH_PAGE).read_text()
     assert answer["after"]["position_rmse_m"] < 1.2 * answer["before"]["position_rmse_m"]
