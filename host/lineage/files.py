@@ -110,7 +110,7 @@ def _log(path: Path) -> Artefact:
         parents=parents,
         command=command,
         origin=origin,
-        port=None if command is None or origin != "port" else _option(command, "--port"),
+        port=None if command is None else _option(command, "--port"),
         date=date_text(utc_date(entries)) if origin == "imported" else None,
     )
 

@@ -65,7 +65,7 @@ def _text(name: str) -> str:
 
 
 def _title(content: Content) -> str:
-    names = [_name(row) for row in (*content.flights, *content.plans, *content.models)]
+    names = [*(track.name for track in content.tracks), *(_name(row) for row in content.models)]
     return names[0] if len(names) == 1 else f"{names[0]} and {len(names) - 1} more"
 
 

@@ -19,7 +19,6 @@ from trimtab.host.trace import words
 from trimtab.host.trace.prediction import Errors
 from trimtab.host.trace.result import Trace
 
-
 SHOWN = 3
 """Number of flights that are shown at first if none was held out."""
 USED, HELD_OUT = "learned from", "held out"

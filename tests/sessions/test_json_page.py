@@ -350,7 +350,8 @@ def test_demo_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], 
         planned=planned,
     )
     compared = Comparison(first=(flight,), latency_s=0.0, no_new_plan="no", no_applied="no").to_json()
-    told = {**trimtab("trace", log), **compared, "seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
+    told = {**trimtab("trace", log), **compared, "truth": "truth.html"}
+    told |= {"seconds": 1.0, "steps": [{"step": "plan", "seconds": 1.0}]}
     check("demo", told, *documented("trace"))
 
 

@@ -3,11 +3,15 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
+from tests.browser import ask, fits
 from trimtab.host.base.errors import UsageError
 from trimtab.host.report.study import page, pictures
+from trimtab.host.report.tables import tables_page
 from trimtab.host.studies import find_study
 
 OUTCOME = {
@@ -54,6 +58,22 @@ def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere()
     assert "mass &amp; more" in html
     assert html.count("<img ") == 2
     assert not re.search(r'(src|href)="(?!data:)', html)
+
+
+@pytest.mark.full  # a browser
+@pytest.mark.parametrize("report", ["study", "tables"])
+def test_page_fits_a_phone_and_is_dark_where_that_is_asked_for(
+    require: Callable[[str], None], tmp_path: Path, report: str
+) -> None:
+    require("browser")
+    row = {f"column {k}": "0.123 to 0.456" for k in range(12)}
+    html = (
+        page(OUTCOME, pictures(OUTCOME), {"version": "1"})
+        if report == "study"
+        else tables_page("Wide", {"answer": {"quick": True, "seed": 1}, "tables": {"A table": [row]}}, {}, {})
+    )
+    (tmp_path / "page.html").write_text(html, encoding="utf-8")
+    fits(ask(tmp_path / "page.html", tmp_path, width=390, dark=True), 390, dark=True)
 
 
 def test_study_that_nobody_has_is_refused() -> None:
