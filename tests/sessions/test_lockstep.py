@@ -26,6 +26,7 @@ from trimtab.host.link.tasks import FreshStatus
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.vehicle_match import neutral_feedforward
 from trimtab.host.log import Flight, LogError, describe, read_flight, recover, topics
+from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at
 from trimtab.host.vehicle import Vehicle, load_vehicle
@@ -132,6 +133,18 @@ def test_session_same_seed_gives_the_same_bytes_and_another_flight_others(
     other = fly(simulate(world_seed=5, flight=1), log_path=tmp_path / "c.mcap").log.read_bytes()
     assert first == again
     assert first != other
+
+
+@pytest.mark.parametrize(("board", "simulated"), [(m.SIMULATED_BOARD, True), (0x0203_0001, False), (0, None)])
+def test_session_logs_whether_the_firmware_says_that_it_is_simulated(
+    fly: Callable[..., FlightResult],
+    simulate: Callable[..., Any],
+    monkeypatch: pytest.MonkeyPatch,
+    board: int,
+    simulated: bool | None,
+) -> None:
+    monkeypatch.setattr("trimtab.sitl.vehicle.SIMULATED_BOARD", board)
+    assert is_simulated(read_flight(fly(simulate()).log).metadata) is simulated
 
 
 def test_session_with_and_without_a_compiler_gives_the_same_bytes(
