@@ -12,7 +12,7 @@ from trimtab.host.plan.files import read_course, read_predicted_error_m
 from trimtab.host.plan.judge import obstacle_margins, passings
 from trimtab.host.plan.profile import sample_times
 from trimtab.host.plan.table import from_reference
-from trimtab.host.show.plans import nominal_profile, plan_facts
+from trimtab.host.show.plans import plan_facts, profile_of
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 
@@ -88,7 +88,7 @@ def plan_figures(reference: Reference, path: Path, vehicle: Vehicle | None) -> P
     course = read_course(path, reference.id)
     facts = plan_facts(reference, path, None, None)
     table = from_reference(reference)
-    along = None if vehicle is None else nominal_profile(reference, vehicle, sample_times(table))
+    along = None if vehicle is None else profile_of(reference, vehicle, sample_times(table))
     margins: dict[str, float] = {}
     if course is not None:
         route, times_s = course

@@ -49,6 +49,7 @@ def component(content: Content, *, folded: bool = False) -> dict[str, Any]:
     return {
         "simulated": bool(simulated) and all(simulated),
         "words": _scene_words(content),
+        "notes": list(dict.fromkeys(note for row in content.flights for note in row["notes"])),
         "has_plan": any(track.what == "plan" for track in content.tracks),
         "has_events": any(track.events for track in content.tracks),
         "folded": folded,

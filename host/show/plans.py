@@ -83,7 +83,7 @@ def waypoint_events(times_s: Sequence[float]) -> list[dict[str, Any]]:
 def profile_of(
     reference: Reference, vehicle: Vehicle, times_us: np.ndarray, model: ResidualModel = NOMINAL
 ) -> Profile:
-    """Return the motion of the nominal vehicle along the reference at these times."""
+    """Return the motion along the reference at these times, without a model that of the nominal vehicle."""
     table, yaws = from_reference(reference), reference.yaw_nodes()
     return profile(vehicle, model, table, yaws, times_us.astype(float))
 
