@@ -67,7 +67,7 @@ def _estimate(situation: Situation, kind: AutopilotKind) -> Iterator[str]:
     """Yield what is wrong with the autopilot's estimate of its own pose."""
     apart, position = situation.disagreement(), situation.position
     if apart is None or position is None:
-        yield f"it sends no local position or attitude; {kind.pose_advice}"
+        yield f"it sends no fresh local position or attitude; {kind.pose_advice}"
         return
     if not math.isfinite(sum(apart)) or apart[0] > AGREE_M:
         yield (

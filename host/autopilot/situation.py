@@ -11,6 +11,9 @@ from trimtab.host.autopilot.kinds import AutopilotKind
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
 
+FRESH_US = 200_000
+"""Age of a position, against the newest pose, above which the two are not compared."""
+
 
 class Pose(NamedTuple):
     """A camera pose: time of exposure (host, us), position (NED, m), and roll, pitch and yaw (FRD, rad)."""
@@ -104,10 +107,19 @@ class Situation:
     def disagreement(self) -> tuple[float, float] | None:
         """Return distance (m) and yaw (rad) between the autopilot's estimate and the newest pose.
 
-        None without both.
+        The position is moved on to the time of the pose by its velocity. None without both, or if the
+        position is older than the pose by more than FRESH_US.
         """
-        if self.pose is None or self.position is None or self.attitude is None:
+        position, arrived_us = self.position, self.position_us
+        if self.pose is None or position is None or arrived_us is None or self.attitude is None:
             return None
-        position = self.position
-        distance_m = math.dist((position.x, position.y, position.z), self.pose.p_ned)
+        later_us = self.pose.t_us - arrived_us
+        if later_us > FRESH_US:
+            return None
+        x, y, z = (p + 1e-6 * later_us * v for p, v in zip(*_motion(position), strict=True))
+        distance_m = math.dist((x, y, z), self.pose.p_ned)
         return distance_m, abs(math.remainder(self.attitude.yaw - self.pose.yaw, 2.0 * math.pi))
+
+
+def _motion(position: m.LocalPositionNed) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    return (position.x, position.y, position.z), (position.vx, position.vy, position.vz)
