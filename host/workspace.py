@@ -15,6 +15,8 @@ if TYPE_CHECKING:
     from trimtab.host.vehicle import Vehicle
 
 
+DEFAULT_VEHICLE = "research"
+"""Vehicle where none is given."""
 FOLDERS = ("vehicles", "routes", "effects", "controllers")
 """Folders of a workspace."""
 

@@ -50,7 +50,7 @@ def test_script_with_own_host_and_protocol_keeps_them(tmp_path: Path) -> None:
         (tmp_path / f"{name}.py").write_text(f"MINE = '{name}'\n", encoding="utf-8")
     code = (
         "import host, protocol, firmware_model, sitl\n"
-        "from trimtab import load_effects, plan, read_flight\n"
+        "from trimtab import fly, import_log, learn, load_effects, plan, read_flight, trace\n"
         "import trimtab.sitl.vehicle\n"
         "load_effects()\n"
         "print(host.MINE, protocol.MINE, firmware_model.MINE, sitl.MINE)\n"

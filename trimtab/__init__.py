@@ -1,11 +1,14 @@
-"""Trimtab's public interface: read flights, plan, learn and trace from Python.
+"""Trimtab's public interface: plan, fly, import, read, trace and learn from Python.
 
-    from trimtab import load_effects, read_flight, trace
+    import trimtab as tt
 
-    flights = [read_flight("one.mcap"), read_flight("two.mcap")]
-    result = trace(flights, held_out=[], effects=load_effects())
+    flights = [tt.read_flight("one.mcap"), tt.read_flight("two.mcap")]
+    result = tt.trace(flights)
+    print(result.verdict)
 
-Each name is imported when it is first used.
+The verbs of the command line call the same functions. Names of vehicles, routes and effects are looked up in
+the workspace first, which is the current folder by default. World is NED, body is FRD, units are SI; another
+unit is part of a name, as in `t_us`. Each name is imported when it is first used.
 """
 
 from __future__ import annotations
@@ -14,18 +17,76 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from trimtab.host.effects import load_effects
-    from trimtab.host.export.samples import sample
-    from trimtab.host.learn.learn import learn
+    from trimtab.host.api.fly import fly
+    from trimtab.host.api.imports import Imported, import_log
+    from trimtab.host.api.learn import learn
+    from trimtab.host.api.load import load_effects, load_route, load_vehicle
+    from trimtab.host.api.plan import plan
+    from trimtab.host.api.trace import trace, write_trace
+    from trimtab.host.base.errors import LinkError, TrimtabError, UsageError
+    from trimtab.host.export.samples import Samples, sample
+    from trimtab.host.learn.result import Learned
     from trimtab.host.link.blob_files import read_reference
-    from trimtab.host.log import read_flight
+    from trimtab.host.link.fly import FlightEnded
+    from trimtab.host.link.summary import FlightResult
+    from trimtab.host.log import Flight, LogError, read_flight
     from trimtab.host.models.file import read_model, write_model
-    from trimtab.host.plan import plan, write_plan
-    from trimtab.host.route import load_route
-    from trimtab.host.trace.run import run as trace
-    from trimtab.host.vehicle import load_vehicle
+    from trimtab.host.models.model import Model
+    from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, write_plan
+    from trimtab.host.trace.result import Trace
+
+_HOMES = {
+    "Flight": "log",
+    "FlightEnded": "link.fly",
+    "FlightResult": "link.summary",
+    "Imported": "api.imports",
+    "Learned": "learn.result",
+    "LinkError": "base.errors",
+    "LogError": "log",
+    "Model": "models.model",
+    "Plan": "plan",
+    "PlanRefused": "plan",
+    "PlanUnsolved": "plan",
+    "Samples": "export.samples",
+    "Trace": "trace.result",
+    "TrimtabError": "base.errors",
+    "UsageError": "base.errors",
+    "fly": "api.fly",
+    "import_log": "api.imports",
+    "learn": "api.learn",
+    "load_effects": "api.load",
+    "load_route": "api.load",
+    "load_vehicle": "api.load",
+    "plan": "api.plan",
+    "read_flight": "log",
+    "read_model": "models.file",
+    "read_reference": "link.blob_files",
+    "sample": "export.samples",
+    "trace": "api.trace",
+    "write_model": "models.file",
+    "write_plan": "plan",
+    "write_trace": "api.trace",
+}
+"""Module below `trimtab.host` that defines each public name."""
 
 __all__ = [
+    "Flight",
+    "FlightEnded",
+    "FlightResult",
+    "Imported",
+    "Learned",
+    "LinkError",
+    "LogError",
+    "Model",
+    "Plan",
+    "PlanRefused",
+    "PlanUnsolved",
+    "Samples",
+    "Trace",
+    "TrimtabError",
+    "UsageError",
+    "fly",
+    "import_log",
     "learn",
     "load_effects",
     "load_route",
@@ -38,30 +99,15 @@ __all__ = [
     "trace",
     "write_model",
     "write_plan",
+    "write_trace",
 ]
-
-_HOMES = {
-    "learn": ("trimtab.host.learn.learn", "learn"),
-    "load_effects": ("trimtab.host.effects", "load_effects"),
-    "load_route": ("trimtab.host.route", "load_route"),
-    "load_vehicle": ("trimtab.host.vehicle", "load_vehicle"),
-    "plan": ("trimtab.host.plan", "plan"),
-    "read_flight": ("trimtab.host.log", "read_flight"),
-    "read_model": ("trimtab.host.models.file", "read_model"),
-    "read_reference": ("trimtab.host.link.blob_files", "read_reference"),
-    "sample": ("trimtab.host.export.samples", "sample"),
-    "trace": ("trimtab.host.trace.run", "run"),
-    "write_model": ("trimtab.host.models.file", "write_model"),
-    "write_plan": ("trimtab.host.plan", "write_plan"),
-}
 
 
 def __getattr__(name: str) -> Any:
     """Import a public name on first use. Raises AttributeError for any other name."""
     if name not in _HOMES:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    module, attribute = _HOMES[name]
-    value = getattr(import_module(module), attribute)
+    value = getattr(import_module(f"trimtab.host.{_HOMES[name]}"), name)
     globals()[name] = value
     return value
 

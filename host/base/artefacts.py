@@ -250,12 +250,13 @@ def provenance(
 ) -> dict[str, Any]:
     """Return the provenance of an artefact: version, git state, command, host seed, and parents' ids by role.
 
-    It contains no wall-clock time, no absolute path and nothing that is sealed.
+    It contains no wall-clock time, no absolute path and nothing that is sealed. argv: words of the command;
+    those of this process by default. Without any word, as for work of a script, the command is None.
     """
     return {
         "version": version(),
         "git": git_state(),
-        "command": public_command(argv),
+        "command": public_command(argv) if argv is None or argv else None,
         "seed": seed,
         "parents": dict(parents or {}),
     }

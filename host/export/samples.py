@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -14,7 +14,17 @@ from trimtab.protocol.blobs import Reference
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Samples:
-    """Flat outputs at times after the start of a reference: NED, SI, radians; yaw rate is that of the yaw."""
+    """Flat outputs at N times after the start of a reference, NED.
+
+    Attributes
+    ----------
+    t_s
+        Times (N,), s.
+    p_ned, v_ned, a_ned, j_ned
+        Position, velocity, acceleration and jerk (N, 3): m, m/s, m/s^2, m/s^3.
+    yaw, yaw_rate
+        Heading (N,), rad, clockwise from north, and its rate (N,), rad/s.
+    """
 
     t_s: Annotated[np.ndarray, "times"]
     p_ned: Annotated[np.ndarray, "times 3"]
@@ -24,11 +34,38 @@ class Samples:
     yaw: Annotated[np.ndarray, "times"]
     yaw_rate: Annotated[np.ndarray, "times"]
 
+    def to_dict(self) -> dict[str, Any]:
+        """Return the samples that `trimtab export --format json` writes, as plain data."""
+        return {
+            "t_s": self.t_s.tolist(),
+            "position_m": self.p_ned.tolist(),
+            "velocity_m_s": self.v_ned.tolist(),
+            "acceleration_m_s2": self.a_ned.tolist(),
+            "jerk_m_s3": self.j_ned.tolist(),
+            "yaw_rad": self.yaw.tolist(),
+            "yaw_rate_rad_s": self.yaw_rate.tolist(),
+        }
+
 
 def sample(reference: Reference, t_s: ArrayLike) -> Samples:
-    """Return the reference at times in seconds (N,), rounded to microseconds.
+    """Return a reference at any times.
 
-    Raises ValueError for a time before its start or after its end.
+    Parameters
+    ----------
+    reference
+        Reference of a plan or of a flight.
+    t_s
+        Times (N,) after its start, s, rounded to microseconds.
+
+    Returns
+    -------
+    Samples
+        Position, velocity, acceleration and jerk (N, 3), NED, SI; yaw and yaw rate (N,), rad and rad/s.
+
+    Raises
+    ------
+    ValueError
+        For a time before its start or after its end.
     """
     times = np.atleast_1d(np.asarray(t_s, dtype=float))
     t_us = np.rint(1e6 * times)

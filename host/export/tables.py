@@ -38,13 +38,7 @@ def json_table(reference: Reference, rate_hz: float) -> str:
         "vehicle": reference.vehicle_id,
         "frame": "NED",
         "rate_hz": rate_hz,
-        "t_s": held.t_s.tolist(),
-        "position_m": held.p_ned.tolist(),
-        "velocity_m_s": held.v_ned.tolist(),
-        "acceleration_m_s2": held.a_ned.tolist(),
-        "jerk_m_s3": held.j_ned.tolist(),
-        "yaw_rad": held.yaw.tolist(),
-        "yaw_rate_rad_s": held.yaw_rate.tolist(),
+        **held.to_dict(),
     }
     return json.dumps(content, allow_nan=False) + "\n"
 

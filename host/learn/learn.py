@@ -3,22 +3,24 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any, Literal
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.base.parallel import cores
 from trimtab.host.effects import Effect
-from trimtab.host.learn.candidates import Candidate, Trial, best, note
+from trimtab.host.learn.candidates import Candidate, best, note
 from trimtab.host.learn.condensed import CondensedSettings
 from trimtab.host.learn.evaluate import Errors, model_errors, model_parts
 from trimtab.host.learn.quick import CondensedTrained, train_condensed
+from trimtab.host.learn.result import Judged, Learned, improves
 from trimtab.host.learn.split import Split
 from trimtab.host.learn.train import LOSS_SIGMA, Settings, Trained, train
 from trimtab.host.log import Flight
 from trimtab.host.log.errors import TooLittleData
+from trimtab.host.log.provenance import count_simulated
 from trimtab.host.models.airframe import Part
 from trimtab.host.models.model import Model
 from trimtab.host.models.phi import Phi
@@ -37,66 +39,6 @@ The law's rate integral balances that torque, and every segment begins with that
 the torque therefore swings at the start of every segment. A network, which gives no torque, would learn that
 swing as an acceleration, and whole flights have no such swing.
 """
-
-
-@dataclass(frozen=True, kw_only=True)
-class Judged:
-    """Errors on one set of flights: of whole flights, or over AHEAD_S if `drive` is "inputs".
-
-    nominal: of the vehicle file alone. base: with the effects of the model learned upon; equal to nominal
-    without one. learned: of the selected model. outside: share of samples outside the model's region.
-    """
-
-    flights: tuple[str, ...]
-    references: tuple[str, ...]
-    nominal: Errors
-    base: Errors
-    learned: Errors
-    outside: float
-    drive: Literal["reference", "inputs"] = "reference"
-
-    @property
-    def ratio(self) -> float:
-        """Position error with the learned model over that without it."""
-        return self.learned.position_rmse_m / self.base.position_rmse_m
-
-    def to_json(self) -> dict[str, Any]:
-        """Return all the errors, and which flights they are of."""
-        return {
-            **self.learned.to_json(),
-            "nominal": self.nominal.to_json(),
-            "base": self.base.to_json(),
-            "drive": self.drive,
-            "outside_region": self.outside,
-            "flights": list(self.flights),
-            "references": list(self.references),
-        }
-
-
-@dataclass(frozen=True, kw_only=True)
-class Learned:
-    """The selected model and its errors; `test` is None where nothing was held out.
-
-    trials: the candidates, from nothing learned to everything asked for, with the errors that decide.
-    selected: the trial of the model. trained: the training of everything asked for. log_latency_s: how much
-    older poses are than stamped in the log, where that was learned. notes: why less was selected than was
-    asked for, and what was left out of the logs.
-    """
-
-    model: Model
-    train: Judged
-    test: Judged | None
-    trials: tuple[Trial, ...]
-    selected: Trial
-    trained: Trained | CondensedTrained
-    segments: int
-    log_latency_s: float = 0.0
-    notes: tuple[str, ...] = ()
-
-    @property
-    def improved(self) -> bool:
-        """Whether the model improves the prediction, both of the flights used and of those held out."""
-        return _improves(self.train, self.test)
 
 
 def learn(  # noqa: PLR0913 (one keyword for each choice)
@@ -142,6 +84,7 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     trials = tuple(data.trial(candidate) for candidate in candidates)
     selected = trials[-1] if as_asked else best(trials)
     candidate = candidates[trials.index(selected)]
+    late_log = isinstance(settings, CondensedSettings) and settings.delay
     model = _model(base, candidate, library, data, provenance or {})
     nothing, test = trials[0], None
     if nothing.test and selected.test:
@@ -158,7 +101,10 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
         selected=selected,
         trained=trained,
         segments=segments[0].count,
-        log_latency_s=candidate.delay_s,
+        forms=tuple(forms),
+        flights=len(flights) + len(hold_out or ()),
+        simulated_flights=count_simulated(each.metadata for each in (*flights, *(hold_out or ()))),
+        log_latency_s=candidate.delay_s if late_log else None,
         notes=(
             *note(trials, selected),
             *_small_batch(segments[0], settings),
@@ -273,14 +219,10 @@ def _model(
     )
 
 
-def _improves(train_errors: Judged, test: Judged | None) -> bool:
-    return all(judged.ratio < 1.0 for judged in (train_errors, test) if judged is not None)
-
-
 def _assessed(model: Model, base: Model | None, train_errors: Judged, test: Judged | None) -> Model:
     """Return the model with its assessment. It is undecided without improvement, or if the base is."""
     earlier = None if base is None else base.assessment
-    decided = _improves(train_errors, test) and (earlier is None or earlier.verdict != "undecided")
+    decided = improves(train_errors, test) and (earlier is None or earlier.verdict != "undecided")
     return model.assessed(
         "learned" if decided else "undecided",
         probabilities={} if earlier is None else earlier.probabilities,

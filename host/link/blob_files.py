@@ -25,7 +25,23 @@ def read_blob(path: str | Path) -> Blob:
 
 
 def read_reference(path: str | Path) -> Reference:
-    """Return the reference in a file. Raises UsageError."""
+    """Return the reference in a file.
+
+    Parameters
+    ----------
+    path
+        Reference, .ref.
+
+    Returns
+    -------
+    Reference
+        Nodes with times in us, and position, velocity, acceleration and jerk relative to its origin, NED, SI.
+
+    Raises
+    ------
+    UsageError
+        If the file cannot be read or is no reference.
+    """
     blob = read_blob(path)
     if not isinstance(blob, Reference):
         raise UsageError(f"{path}: this is a feed-forward; give a reference (.ref)")

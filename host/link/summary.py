@@ -3,26 +3,50 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.card import card, table
 from trimtab.host.link.drivers import DriveStatistics
 from trimtab.host.link.flight_request import FlightEnd
 from trimtab.host.log import Flight, control_report, link_report, read_flight, topics
+from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
+from trimtab.host.route.clearance import Passed
 
 
 @dataclass(frozen=True, kw_only=True)
 class FlightResult:
     """Result of one flight. A value that could not be measured is None.
 
-    `tracking_rmse_m` and `tracking_max_m` are None without a tracking phase.
-    `end` is None if the host stopped following the flight before its end.
-    `clipped_share` is the share of ticks in flight on which the motor commands were saturated.
-    `feedforward_faded_s` is how long the feed-forward was faded beyond its region; None without one.
-    `link` is described in `trimtab.host.log.link_report`, `control` in `trimtab.host.log.control_report`; it
-    is None if no controller on the host flew.
+    Attributes
+    ----------
+    log, log_id
+        Path of the flight log, and the first 12 hex digits of its SHA-256.
+    reference
+        Id of the reference flown.
+    end
+        How the flight ended; None if the host stopped following it before.
+    tracking_rmse_m, tracking_max_m
+        Distance between camera poses and reference in the tracking phase, m: root mean square and greatest.
+    clipped_share
+        Share of the ticks in flight on which the motor commands were saturated.
+    feedforward_faded_s
+        How long the feed-forward was faded beyond its region, s; None without one.
+    realtime_factor
+        Simulated time over wall time.
+    link
+        Quality of the link: keys as in `trimtab fly --json`.
+    control
+        Steps of a controller on the host; None if none flew.
+    duration_s
+        Duration of the log, s.
+    clearance
+        Distance to each gate and keep-out shape of the route, m, if the plan's file beside the reference
+        names any.
+    simulated
+        Whether the vehicle was simulated; None if the log does not tell.
     """
 
     log: Path
@@ -37,9 +61,11 @@ class FlightResult:
     link: Mapping[str, Any]
     control: Mapping[str, Any] | None
     duration_s: float
+    clearance: tuple[Passed, ...] = ()
+    simulated: bool | None = None
 
-    def to_json(self) -> dict[str, Any]:
-        """Return the answer of `trimtab fly --json`."""
+    def to_dict(self) -> dict[str, Any]:
+        """Return the object that `trimtab fly --json` prints, as plain data."""
         return {
             "log": str(self.log),
             "reference": self.reference,
@@ -58,6 +84,7 @@ class FlightResult:
             "takeover": self._takeover_json(),
             "control": self._control_json(),
             "doubt": None if self.end is None or self.end.doubt is None else str(self.end.doubt),
+            "clearance": [asdict(each) for each in self.clearance],
         }
 
     def _takeover_json(self) -> dict[str, Any] | None:
@@ -69,6 +96,28 @@ class FlightResult:
             return None
         stop = None if self.end is None else self.end.stop
         return {**self.control, "stopped": None if stop is None else str(stop)}
+
+    def _repr_html_(self) -> str:
+        def mm(value_m: float | None) -> str | None:
+            return None if value_m is None else f"{1e3 * value_m:.1f} mm"
+
+        return card(
+            f"Flight {self.log.name}",
+            [
+                ("tracking error, RMSE", mm(self.tracking_rmse_m)),
+                ("tracking error, greatest", mm(self.tracking_max_m)),
+                ("saturated share of the flight", self.clipped_share),
+                ("duration", f"{self.duration_s:.2f} s"),
+                ("flown to its end", self.end is not None and self.end.whole),
+                ("ended by failsafe", None if self.end is None else self.end.failsafe),
+                ("reference", self.reference),
+            ],
+            table(
+                ("obstacle", "distance, m", "at, s"),
+                [(each.obstacle, each.distance_m, each.t_s) for each in self.clearance],
+            ),
+            badge="simulated" if self.simulated else None,
+        )
 
     def to_lines(self) -> list[str]:
         """Return the lines of text for the terminal."""
@@ -89,7 +138,12 @@ class FlightResult:
                 f"{100.0 * swap.slots_share:.0f} % of the slots"
             )
         lines += control_report.to_lines(None if self.control is None else dict(self.control))
-        return lines + link_report.to_lines(dict(self.link))
+        lines += link_report.to_lines(dict(self.link))
+        return lines + [
+            f"{each.obstacle}: {abs(1e3 * each.distance_m):.0f} mm "
+            f"{'clear' if each.distance_m >= 0.0 else 'MISSED'} at {each.t_s:.2f} s"
+            for each in self.clearance
+        ]
 
 
 def summarise(end: FlightEnd | None, log: Path, driven: DriveStatistics) -> FlightResult:
@@ -109,6 +163,7 @@ def summarise(end: FlightEnd | None, log: Path, driven: DriveStatistics) -> Flig
         link=link_report.link_report(flight),
         control=control_report.control_report(flight),
         duration_s=flight.duration_s,
+        simulated=is_simulated(flight.metadata),
     )
 
 

@@ -4,7 +4,7 @@ from trimtab.host.log.errors import LogError
 from trimtab.host.log.flight import read_flight
 from trimtab.host.log.identity import is_same_flight, log_parents
 from trimtab.host.log.imported import write_imported
-from trimtab.host.log.info import describe, to_lines
+from trimtab.host.log.info import to_lines
 from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.recover import Recovery, recover
 from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
@@ -45,7 +45,6 @@ __all__ = [
     "Recovery",
     "Status",
     "Topic",
-    "describe",
     "failsafe_name",
     "is_same_flight",
     "log_parents",

@@ -16,6 +16,7 @@ from google.protobuf.message import DecodeError
 
 from trimtab.host.log import topics
 from trimtab.host.log.composed import composed, swap_us
+from trimtab.host.log.contents import LogContents
 from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
 from trimtab.host.log.provenance import (
     AUTOPILOT,
@@ -54,9 +55,24 @@ State = flight_pb2.Status.State
 
 
 def read_flight(path: Path | str, *, leave_out: Collection[str] = ()) -> Flight:
-    """Read the flight in a closed log, without the topics in `leave_out`.
+    """Read the flight in a closed log.
 
-    Raises LogError (exit code 5) if the log is cut, damaged or of another program.
+    Parameters
+    ----------
+    path
+        Flight log, .mcap.
+    leave_out
+        Topics whose arrays are not read.
+
+    Returns
+    -------
+    Flight
+        Arrays of each topic: times in us, positions in NED in m, attitudes as quaternions of FRD in NED.
+
+    Raises
+    ------
+    LogError
+        If the log is cut, damaged or of another program.
     """
     with _garbage_kept():
         return to_flight(scan_closed(Path(path)), leave_out=leave_out)
@@ -153,6 +169,7 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         tracking_whole=whole,
         failsafe=failsafe_name(max((message.failsafe for _, message in statuses), default=0)),
         duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
+        contents=LogContents.of(records),
         host_control=host_control,
     )
 

@@ -2,35 +2,25 @@
 
 from __future__ import annotations
 
-from pathlib import Path
+from dataclasses import asdict
 from typing import Any
 
+from trimtab.host.base.card import card, table
 from trimtab.host.log import control_report, link_report
-from trimtab.host.log.flight import scan_closed, to_flight
+from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.topics import MOCAP_POSE
 from trimtab.host.log.tracking import feedforward_faded_s
-from trimtab.host.log.tracks import FAILSAFE_WORDS
+from trimtab.host.log.tracks import FAILSAFE_WORDS, Flight
 
 
-def describe(path: Path) -> dict[str, Any]:
-    """Return the answer of `trimtab log info --json`. Raises LogError (exit code 5)."""
-    records = scan_closed(path)
-    flight = to_flight(records)
-    topics: dict[str, Any] = {}
-    for topic, entries in sorted(records.by_topic().items()):
-        span_s = (entries[-1].log_time_us - entries[0].log_time_us) * 1e-6 if entries else 0.0
-        topics[topic] = {
-            "messages": len(entries),
-            "rate_hz": round((len(entries) - 1) / span_s, 2) if span_s > 0.0 else None,
-        }
-    for channel in records.channels.values():
-        topics[channel.topic]["sampling"] = channel.metadata.get("sampling")
-    tracking = flight.tracking
+def describe(flight: Flight) -> dict[str, Any]:
+    """Return what a log holds, as plain data: `Flight.to_dict`."""
+    contents, tracking = flight.contents, flight.tracking
     return {
-        "log": records.path.name,
-        "id": records.id,
+        "log": flight.path.name,
+        "id": flight.id,
         "kind": flight.kind,
-        "bytes": records.size,
+        "bytes": contents.size,
         "duration_s": flight.duration_s,
         "vehicle": {"name": flight.vehicle.name, "id": flight.vehicle.id},
         "reference": flight.reference_id,
@@ -41,14 +31,14 @@ def describe(path: Path) -> dict[str, Any]:
         "failsafe": flight.failsafe,
         "link": link_report.link_report(flight) if flight.kind == "flight" else None,
         "control": control_report.control_report(flight),
-        "recovered": "recovery" in records.metadata,
-        "topics": topics,
+        "recovered": contents.recovered,
+        "topics": {name: asdict(topic) for name, topic in contents.topics.items()},
         "provenance": dict(flight.metadata),
     }
 
 
 def to_lines(info: dict[str, Any]) -> list[str]:
-    """Return the lines of text for the terminal, from the object that `describe` returns."""
+    """Return the lines of text for the terminal, from `Flight.to_dict`."""
     vehicle, size_kib = info["vehicle"], info["bytes"] / 1024
     lines = [
         f"{info['log']}  id {info['id']}  {size_kib:.0f} KiB  {info['duration_s']:.2f} s  {info['kind']}",
@@ -78,3 +68,26 @@ def to_lines(info: dict[str, Any]) -> list[str]:
     if info["topics"].get(MOCAP_POSE, {}).get("messages") == 0:
         lines.append("no poses arrived")
     return lines
+
+
+def flight_card(flight: Flight) -> str:
+    """Return the HTML card of a flight for notebooks."""
+    tracking = flight.tracking
+    interval = None if tracking is None else f"{tracking[0] * 1e-6:.2f} to {tracking[1] * 1e-6:.2f} s"
+    return card(
+        f"{'Flight' if flight.kind == 'flight' else 'Imported flight'} {flight.path.name}",
+        [
+            ("id", flight.id),
+            ("vehicle", flight.vehicle.name),
+            ("reference", flight.reference_id),
+            ("duration", f"{flight.duration_s:.2f} s"),
+            ("tracking", interval),
+            ("flown to its end", flight.tracking_whole),
+            ("ended by failsafe", flight.failsafe),
+        ],
+        table(
+            ("topic", "messages", "rate, Hz"),
+            [(name, topic.messages, topic.rate_hz) for name, topic in flight.contents.topics.items()],
+        ),
+        badge="simulated" if is_simulated(flight.metadata) else None,
+    )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime
 import shlex
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
@@ -121,3 +121,8 @@ def utc_date(metadata: Mapping[str, str]) -> datetime.datetime | None:
 def date_text(date: datetime.datetime | None) -> str | None:
     """Return a UTC date and time as text for JSON and the terminal; None for None."""
     return None if date is None else date.strftime("%Y-%m-%dT%H:%M:%SZ")
+
+
+def count_simulated(records: Iterable[Mapping[str, str]]) -> int:
+    """Return how many logs with these `trimtab` records are known to be of a simulated vehicle."""
+    return sum(is_simulated(metadata) is True for metadata in records)

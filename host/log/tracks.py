@@ -14,6 +14,7 @@ from typing import Annotated, Any, Self
 import numpy as np
 from numpy.typing import NDArray
 
+from trimtab.host.log.contents import LogContents
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
 from trimtab.protocol.generated import flight_pb2
@@ -254,9 +255,40 @@ class Battery(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Flight:
-    """One flight or import. Absent data is None. `tracking` is the interval that learning and errors use.
+    """One flight or import. Absent data is None.
 
-    `host_control`: None if the vehicle flew its reference by its own law, or in an import.
+    Attributes
+    ----------
+    id, path
+        First 12 hex digits of the SHA-256 of the log, and its path.
+    kind
+        "flight" or "imported".
+    vehicle
+        The vehicle file in the log.
+    reference, reference_id
+        Reference that was flown.
+    feedforward, firmware_parameters
+        Feed-forward that was flown, and the parameters on board by name.
+    metadata
+        Provenance of the log: version, command, host seed, index of the flight, and others.
+    mocap, estimate, control, observer, status, link
+        Arrays of each topic.
+    recorded_inputs, recorded_imu
+        Inputs and IMU of a foreign vehicle.
+    battery
+        Voltage over time.
+    tracking
+        Start and end of the interval that learning and errors use, us.
+    tracking_whole
+        Whether the reference was flown to its end. Always True for an import.
+    failsafe
+        Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS.
+    duration_s
+        Duration of the log, s.
+    contents
+        Size and topics of the log's file.
+    host_control
+        Steps of a controller on the host; None if the vehicle flew by its own law, or in an import.
     """
 
     id: str
@@ -279,10 +311,9 @@ class Flight:
     battery: Battery | None
     tracking: tuple[int, int] | None
     tracking_whole: bool
-    """Whether the reference was flown to its end. Always True for an import."""
     failsafe: str | None
-    """Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS."""
     duration_s: float
+    contents: LogContents
     host_control: HostControl | None = None
 
     @property
@@ -290,3 +321,14 @@ class Flight:
         """Whether the reference and the law on board explain the flight: no other controller commanded."""
         known = self.reference is not None and self.firmware_parameters is not None
         return known and self.host_control is None
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the object that `trimtab log info --json` prints, as plain data."""
+        from trimtab.host.log.info import describe
+
+        return describe(self)
+
+    def _repr_html_(self) -> str:
+        from trimtab.host.log.info import flight_card
+
+        return flight_card(self)

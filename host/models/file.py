@@ -77,9 +77,27 @@ class _File(Strict):
 def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
     """Write a model and return its path.
 
-    The weights are written first, the TOML last, and each file appears whole or not at all. Raises
-    ModelFileError where the name does not end in .model.toml, UsageError where the file exists and `force` is
-    not set.
+    The weights of a network are written first, beside it, and the model last. Each file appears whole or not
+    at all.
+
+    Parameters
+    ----------
+    model
+        Model to write.
+    path
+        File to write, .model.toml.
+    force
+        Overwrite the file.
+
+    Returns
+    -------
+    Path
+        The path of the model.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in .model.toml, or if the file exists and `force` is not set.
     """
     path = Path(path)
     if not path.name.endswith(SUFFIX):
@@ -118,8 +136,24 @@ def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
 def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
     """Return the model in a file.
 
-    Raises ConfigurationError with every problem of the TOML, ModelFileError where the file or its weights are
-    missing or changed, or where it is of another vehicle than `vehicle_id`.
+    Parameters
+    ----------
+    path
+        Model, .model.toml. The weights of its network are read from the file beside it.
+    vehicle_id
+        Id of the vehicle that the model must be of. Default: any.
+
+    Returns
+    -------
+    Model
+        Effects with values in the units of their parameters, covariance, and network.
+
+    Raises
+    ------
+    ConfigurationError
+        With every problem of the TOML.
+    UsageError
+        If the file or its weights are missing or changed, or if it is of another vehicle.
     """
     path = Path(path)
     try:
@@ -153,12 +187,17 @@ def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
             f"{path.name}: its id {table.id} is not that of its content {model.id}: it was edited; "
             "remove the id line to use it all the same"
         )
+    check_vehicle(model, vehicle_id, path.name)
+    return model
+
+
+def check_vehicle(model: Model, vehicle_id: str | None, name: str) -> None:
+    """Raise ModelFileError, which calls the model `name`, if it is of another vehicle. None: any vehicle."""
     if vehicle_id is not None and model.vehicle_id != vehicle_id:
         raise ModelFileError(
-            f"{path.name}: is of vehicle {model.vehicle_name} ({model.vehicle_id}), not of {vehicle_id}; "
+            f"{name}: is of vehicle {model.vehicle_name} ({model.vehicle_id}), not of {vehicle_id}; "
             "trace or learn with this vehicle's flights"
         )
-    return model
 
 
 def _plain(table: Strict) -> dict[str, Any]:

@@ -11,6 +11,7 @@ from functools import cached_property
 from typing import Any, Literal, get_args
 
 from trimtab.host.base.artefacts import content_id
+from trimtab.host.base.card import card, table
 from trimtab.host.effects import Effect
 from trimtab.host.models.airframe import Part
 from trimtab.host.models.network import Network
@@ -98,9 +99,26 @@ class Assessment:
 class Model:
     """The content of a model file.
 
-    `effects` are named; `adjustments` moved within their tolerances; no effect is in both. `sources` has the
-    id of each effect's file, `data` the ids of the logs. `assessment` is None in a file that states none.
-    `provenance` is no part of the id.
+    Attributes
+    ----------
+    vehicle_id, vehicle_name
+        Vehicle of the model.
+    effects
+        Values of the named effects, by effect and key, in the units of their parameters.
+    adjustments
+        The same of effects that moved within their tolerances. No effect is in both.
+    covariance
+        Covariance of the values; None if the file states none.
+    sources
+        Id of each effect's file.
+    network, region
+        Network of the residual acceleration, and the speeds, tilts and thrusts that its data covers.
+    data
+        Ids of the logs.
+    assessment
+        Verdict, probabilities and held-out errors; None in a file that states none.
+    provenance
+        Version, command and ids of the parents. It is no part of the id.
     """
 
     vehicle_id: str
@@ -198,6 +216,35 @@ class Model:
                 "sha256": network_digest(self.network),
             }
         return content
+
+    def to_dict(self) -> dict[str, Any]:
+        """Return the content, the id and the provenance as plain data."""
+        return {"id": self.id, **self.content(), "provenance": dict(self.provenance)}
+
+    def _repr_html_(self) -> str:
+        assessment, network = self.assessment, self.network
+        held_out = None
+        if assessment is not None and assessment.before_m is not None and assessment.after_m is not None:
+            held_out = f"{1e3 * assessment.before_m:.1f} mm before, {1e3 * assessment.after_m:.1f} mm after"
+        return card(
+            f"Model {self.id}",
+            [
+                ("vehicle", self.vehicle_name),
+                ("verdict", None if assessment is None else assessment.verdict),
+                ("prediction error of held-out flights", held_out),
+                ("network, hidden layers", None if network is None else str(network.layout.hidden)),
+                ("logs", len(self.data)),
+            ],
+            table(
+                ("effect", "parameter", "value", "sd", "kind"),
+                [
+                    (name, key, value, self.sd(name, key), kind)
+                    for kind, group in (("named", self.effects), ("adjustment", self.adjustments))
+                    for name, values in group.items()
+                    for key, value in values.items()
+                ],
+            ),
+        )
 
     def sd(self, name: str, key: str) -> float | None:
         """Return the standard deviation of a parameter; None where the file has none."""

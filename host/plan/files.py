@@ -25,17 +25,37 @@ def write_plan(
 ) -> Path:
     """Write a plan's two files and return the path of the reference.
 
-    Each file appears whole or not at all, the reference last. `provenance`: as of
-    `base.artefacts.provenance`. The same plan and provenance give the same bytes, because processor time is
-    left out. Raises UsageError where a file exists and `force` is not set.
+    The same plan and provenance give the same bytes, because processor time is left out. Each file appears
+    whole or not at all, the reference last.
+
+    Parameters
+    ----------
+    plan
+        Plan to write.
+    path
+        Reference to write, .ref. Its record, with route and figures, is NAME.ref.json beside it.
+    provenance
+        As of `base.artefacts.provenance`. Default: that of the plan.
+    force
+        Overwrite the files.
+
+    Returns
+    -------
+    Path
+        The path of the reference.
+
+    Raises
+    ------
+    UsageError
+        If the name does not end in .ref, or if a file exists and `force` is not set.
     """
     path = check_name(path, force)
     record = {
         "reference": plan.reference.id,
         "vehicle": plan.reference.vehicle_id,
-        "provenance": dict(provenance or {}),
+        "provenance": dict(plan.provenance if provenance is None else provenance),
         "route": plan.route.model_dump(mode="json", exclude_none=True),
-        "plan": {name: value for name, value in figures(plan).items() if name != "solve_s"},
+        "plan": {name: value for name, value in plan.figures().items() if name != "solve_s"},
     }
     return artefacts.write_recorded(path, plan.reference.to_bytes(), record, force)
 
@@ -76,28 +96,3 @@ def _record(path: Path | str, reference_id: str) -> Any:
     if record["reference"] != reference_id:
         raise ValueError(f"{path}: the record is of another reference")
     return record
-
-
-def figures(plan: Plan) -> dict[str, Any]:
-    """Return a plan's figures as plain data for JSON."""
-    return {
-        "kind": plan.kind,
-        "augmented": plan.augmented,
-        "status": plan.status,
-        "duration_s": plan.duration_s,
-        "waypoint_times_s": list(plan.waypoint_times_s),
-        "margins": dict(plan.margins),
-        "clearance_m": plan.clearance_m,
-        "predicted_error_max_m": plan.predicted_error_max_m,
-        "residual_rms_m_s2": plan.residual_rms_m_s2,
-        "outside_region": plan.outside_region,
-        "path_length_m": plan.path_length_m,
-        "mean_speed_m_s": plan.mean_speed_m_s,
-        "deviation_m": plan.deviation_m,
-        "stretch": plan.stretch,
-        "nodes": len(plan.reference.nodes),
-        "intervals": plan.intervals,
-        "rounds": plan.rounds,
-        "iterations": plan.iterations,
-        "solve_s": plan.solve_s,
-    }

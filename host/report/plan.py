@@ -11,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from trimtab.host.plan.box import GATES, KEEP_OUT, YAW_RATE
-from trimtab.host.plan.files import figures
 from trimtab.host.plan.judge import Passing, inside_gates, passings
 from trimtab.host.plan.pareto import Point, tabulate
 from trimtab.host.plan.profile import Profile, profile, with_nodes
@@ -76,7 +75,7 @@ def page(
 
 def _timeless(plan: Plan) -> dict[str, Any]:
     """Return the plan's figures without processor time, so that the same plan gives the same page."""
-    return {name: value for name, value in figures(plan).items() if name != "solve_s"}
+    return {name: value for name, value in plan.figures().items() if name != "solve_s"}
 
 
 def _sentence(plan: Plan) -> str:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -24,7 +25,7 @@ from trimtab.host.trace.selection import Diagnosis
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """One parameter with its standard deviation and unit."""
+    """One parameter with its standard deviation, both in `unit`."""
 
     value: float
     sd: float
@@ -67,8 +68,8 @@ class Trace:
     drive
         Data that drive the predictions of held-out flights.
     before, after, adjustments_only
-        Prediction errors without effects, with the model, and with only its adjustments: one entry for each
-        held-out flight.
+        Prediction errors without effects, with the model, and with only its adjustments, in m and m/s: one
+        entry for each held-out flight.
     noise_floor
         Estimated prediction error of a perfect model.
     next_flight
@@ -85,6 +86,8 @@ class Trace:
         What a disturbance outside the library depends on; None for other verdicts.
     unexplained
         Errors of the network that was trained on the residual; None if none was trained.
+    simulated_flights
+        Number of flights that are known to be simulated, of those in `audits`.
     """
 
     verdict: Verdict
@@ -104,6 +107,27 @@ class Trace:
     audits: tuple[Audit, ...]
     description: Description | None
     unexplained: NetworkResult | None
+    simulated_flights: int = 0
+
+    def to_dict(
+        self,
+        *,
+        model_path: str | None = None,
+        report_path: str | None = None,
+        network_path: str | None = None,
+    ) -> dict[str, Any]:
+        """Return the object that `trimtab trace --json` prints, as plain data.
+
+        model_path, report_path, network_path: files that were written; None for a file that was not.
+        """
+        from trimtab.host.trace.answer import to_json
+
+        return to_json(self, model_path=model_path, report_path=report_path, network_path=network_path)
+
+    def _repr_html_(self) -> str:
+        from trimtab.host.trace.words import trace_card
+
+        return trace_card(self)
 
     @property
     def horizon_s(self) -> float | None:

@@ -8,6 +8,7 @@ from trimtab.host.base import parallel
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import TORQUE
 from trimtab.host.log import Flight
+from trimtab.host.log.provenance import count_simulated
 from trimtab.host.trace.assembly import assessed, far_adjustments, held_out_errors, model_of, named_effects
 from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
@@ -124,4 +125,5 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         audits=with_missing_repeats(audits, logs.repeat_flights),
         description=description,
         unexplained=learned,
+        simulated_flights=count_simulated(flight.metadata for flight in flights),
     )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+from trimtab.host.base.card import card, simulated_badge, table
 from trimtab.host.trace.data.audit import Audit, UnusedStretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import CHANNEL_UNITS, DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Verdict
@@ -219,3 +220,32 @@ def verdict(result: Trace) -> str:
 def _listed(names: Sequence[str]) -> str:
     """Return names joined as in a sentence ("a, b and c"); an empty text for no names."""
     return " and ".join([", ".join(names[:-1]), names[-1]] if len(names) > 1 else names)
+
+
+def trace_card(result: Trace) -> str:
+    """Return the HTML card of a trace for notebooks."""
+    before, after = result.before_score, result.after_score
+    held_out = None
+    if before is not None and after is not None:
+        before_mm, after_mm = 1e3 * before["position_rmse_m"], 1e3 * after["position_rmse_m"]
+        held_out = f"{before_mm:.1f} mm before, {after_mm:.1f} mm after, {len(result.before)} flights"
+    planned = result.next_flight
+    return card(
+        f"Trace: {result.verdict}",
+        [
+            ("vehicle", result.model.vehicle_name),
+            ("flights", len(result.audits)),
+            ("prediction error of held-out flights", held_out),
+            ("propose to fly next", None if planned is None else planned.route),
+            *(("reason", each) for each in sentences(result.findings, OUTSIDE_LIBRARY_CODES | DOUBTS)),
+        ],
+        table(
+            ("effect", "parameter", "value", "sd", "unit", "probability"),
+            [
+                (effect.name, key, value.value, value.sd, value.unit, effect.probability)
+                for effect in result.effects
+                for key, value in effect.parameters.items()
+            ],
+        ),
+        badge=simulated_badge(result.simulated_flights, len(result.audits)),
+    )

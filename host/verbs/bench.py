@@ -5,7 +5,8 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Json, VehicleName, WorkspaceFolder
+from trimtab.host.workspace import DEFAULT_VEHICLE
 
 
 def command(

@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder, accepted_model
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder
 
 
 def command(
@@ -35,6 +35,7 @@ def command(
     from trimtab.host.base.errors import GateMissed, UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.effects import load_effects
+    from trimtab.host.models.accepted import accepted_model
     from trimtab.host.models.correction import SUFFIX, check_name, correction, write_correction
     from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
     from trimtab.host.workspace import open_workspace

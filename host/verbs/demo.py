@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.workspace import DEFAULT_VEHICLE
 
 FOLDER = "trimtab-demo"
 
@@ -51,18 +52,18 @@ def command(
     with workers(jobs) as pool:
         for _ in range(jobs if jobs > 1 else 0):  # they start up while this one imports the rest and plans
             pool.submit(field.check)
+        from trimtab.host.api.trace import flyable
         from trimtab.host.apps.demo import report
         from trimtab.host.apps.demo.session import DemoRequest, run_demo
         from trimtab.host.effects import load_effects
         from trimtab.host.trace.words import result_lines
-        from trimtab.host.verbs.trace import manoeuvres
 
         outcome = run_demo(
             DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world, force=force),
             load_effects(space.root),
             pool,
             on_message=say,
-            manoeuvres=lambda: manoeuvres(space, airframe),
+            manoeuvres=lambda: flyable(space, airframe),
         )
     seconds = time.perf_counter() - begin_s
     say(

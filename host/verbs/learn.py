@@ -2,20 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any, Literal
+from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder, accepted_model
+from trimtab.host.api.learn import Frame, Method, learn, learning_settings
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder
 
 if TYPE_CHECKING:
-    from trimtab.host.effects import Effect
-    from trimtab.host.learn import CondensedSettings, Judged, Settings
-    from trimtab.host.learn.learn import Learned
-    from trimtab.host.models.model import Model
+    from trimtab.host.learn import Judged, Learned
 
 DEFAULT_OUTPUT = "learned.model.toml"
 
@@ -70,9 +68,9 @@ class LearnOptions:
     accept_undecided: AcceptUndecided = False
     hidden: Annotated[list[int] | None, Parameter(name="--hidden", consume_multiple=True)] = None
     network: Annotated[bool, Parameter(negative="--no-network")] = True
-    frame: Literal["world", "body"] = "world"
+    frame: Frame = "world"
     effects: Annotated[list[str] | None, Parameter(name="--effects", consume_multiple=True)] = None
-    method: Literal["condensed", "paper"] = "condensed"
+    method: Method = "condensed"
     log_latency: Annotated[bool, Parameter(negative="")] = False
     epochs: int | None = None
     any_heading: Annotated[bool, Parameter(negative="--no-any-heading")] = True
@@ -102,161 +100,78 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     check_jobs(options.jobs)
     one_thread_of_algebra()
 
+    import sys
+
     from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import GateMissed
+    from trimtab.host.base.errors import GateMissed, UsageError
     from trimtab.host.base.output import emit, warn
     from trimtab.host.base.progress import Progress
-    from trimtab.host.effects import load_effects
-    from trimtab.host.learn import learn
-    from trimtab.host.log import log_parents, read_flight
-    from trimtab.host.models.file import write_model
-    from trimtab.host.workspace import open_workspace
+    from trimtab.host.learn import CondensedSettings
+    from trimtab.host.log import read_flight
+    from trimtab.host.models.file import SUFFIX, write_model
 
-    settings, rounds = _check(logs, options)
+    if not logs:
+        raise UsageError("no log given; name one or more flight logs")
+    if options.hold_out is not None and not options.hold_out:
+        raise UsageError("--hold-out names no log; give one or more or leave it out")
+    forms = None if options.effects is None else [name for name in options.effects if name != "none"]
+    choices: dict[str, Any] = {
+        "hidden": (32, 32) if options.hidden is None else options.hidden,
+        "network": options.network,
+        "frame": options.frame,
+        "forms": forms,
+        "method": options.method,
+        "log_latency": options.log_latency,
+        "epochs": options.epochs,
+        "any_heading": options.any_heading,
+        "seed": options.seed,
+    }
+    settings = learning_settings(**choices)  # before any file is read
+    rounds = (
+        settings.iterations * settings.passes if isinstance(settings, CondensedSettings) else settings.epochs
+    )
+    if not options.output.name.endswith(SUFFIX):
+        raise UsageError(f"{options.output}: give the model a name that ends in {SUFFIX}")
+    artefacts.check_output(options.output, options.force)
     began = monotonic()
-    library = load_effects(open_workspace(options.workspace).root)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
-    base = None
-    if options.model is not None:
-        vehicle_id = flights[0].vehicle.id
-        base = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle_id)
-    parents = log_parents(flights, held_out)
-    if base is not None:
-        parents["model"] = base.id
-    forms = _forms(options, library, base)
     with Progress("learning", total=rounds) as bar:
         learned = learn(
             flights,
-            hold_out=held_out or None,
-            base=base,
-            effects=library,
-            settings=settings,
-            forms=forms,
-            seed=options.seed,
+            held_out,
+            model=options.model,
+            accept_undecided=options.accept_undecided,
             as_asked=options.as_asked,
             jobs=options.jobs,
-            provenance=artefacts.provenance(seed=options.seed, parents=parents),
+            workspace=options.workspace,
+            command=sys.argv[1:],
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
+            **choices,
         )
-    written = learned.selected.what != "nothing"
-    named = {name: learned.model.effects[name] for name in forms if written}
-    if written:
+    if learned.is_written:
         write_model(learned.model, options.output, force=options.force)
-        _print(learned, options.output, named, options.log_latency)
+        _print(learned, options.output)
     for note in learned.notes:
         warn(note)
-    answer = _answer(learned, options.output if written else None, named, options.log_latency)
-    emit({**answer, "seconds": round(monotonic() - began, 3)}, options.json)
-    if not written:
+    emit({**learned.to_dict(path=options.output), "seconds": round(monotonic() - began, 3)}, options.json)
+    if not learned.is_written:
         raise GateMissed(
             f"{options.output}: not written, the learned model predicts whole flights no better; "
             "give more flights, other --effects or --epochs, or --as-asked"
         )
 
 
-def _check(logs: Sequence[Path], options: LearnOptions) -> tuple[Settings | CondensedSettings, int]:
-    """Return the settings and the number of rounds. Raises UsageError, before any file is read."""
-    from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.models.file import SUFFIX
-
-    paper = options.method == "paper"
-    if not logs:
-        raise UsageError("no log given; name one or more flight logs")
-    if options.hold_out is not None and not options.hold_out:
-        raise UsageError("--hold-out names no log; give one or more or leave it out")
-    beyond_paper = options.effects or options.frame == "body" or not options.network or options.log_latency
-    if paper and beyond_paper:
-        raise UsageError(
-            "--method paper learns only a network in the world frame; leave out --effects, --frame body, "
-            "--no-network and --log-latency"
-        )
-    settings, rounds = _settings(options)
-    if options.seed < 0:
-        raise UsageError(f"--seed {options.seed}: give 0 or more")
-    if not options.output.name.endswith(SUFFIX):
-        raise UsageError(f"{options.output}: give the model a name that ends in {SUFFIX}")
-    artefacts.check_output(options.output, options.force)
-    return settings, rounds
-
-
-def _settings(options: LearnOptions) -> tuple[Settings | CondensedSettings, int]:
-    """Return the method's settings and the number of rounds. Raises UsageError."""
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.learn import CondensedSettings, Settings
-    from trimtab.host.models.network import Layout
-    from trimtab.protocol.blobs import HIDDEN_MAX, WIDTH_MAX
-
-    widths = (32, 32) if options.hidden is None else tuple(options.hidden)
-    if not 1 <= len(widths) <= HIDDEN_MAX or not all(1 <= width <= WIDTH_MAX for width in widths):
-        given = " ".join(map(str, widths))
-        raise UsageError(f"--hidden {given}: give 1 to {HIDDEN_MAX} widths of 1 to {WIDTH_MAX} each")
-    epochs = options.epochs
-    if epochs is not None and epochs < 1:
-        raise UsageError(f"--epochs {epochs}: give 1 or more")
-    if options.method == "paper":
-        paper = Settings(hidden=widths, epochs=epochs or 120, any_heading=options.any_heading)
-        return paper, paper.epochs
-    condensed = CondensedSettings(
-        layout=Layout(hidden=widths, frame=options.frame) if options.network else None,
-        iterations=epochs or 300,
-        any_heading=options.any_heading,
-        delay=options.log_latency,
-    )
-    return condensed, condensed.iterations * condensed.passes
-
-
-def _forms(options: LearnOptions, library: Mapping[str, Effect], base: Model | None) -> tuple[str, ...]:
-    """Return the effects to learn. Raises UsageError for one that is unknown or in the base model already."""
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.learn import DEFAULT_FORMS
-
-    by_default = options.effects is None and base is None and options.method != "paper"
-    forms = tuple(name for name in (DEFAULT_FORMS if by_default else options.effects or ()) if name != "none")
-    for name in forms:
-        if name not in library:
-            raise UsageError(f"--effects {name}: no such effect; available are {', '.join(library)}")
-        if base is not None and name in base.effects:
-            raise UsageError(f"--effects {name}: already in {options.model}; leave one of them out")
-    if not (forms or options.network):
-        raise UsageError("nothing to learn; leave out --no-network or give --effects")
-    return forms
-
-
-def _answer(
-    learned: Learned, output: Path | None, named: Mapping[str, Mapping[str, float]], log_latency: bool
-) -> dict[str, Any]:
-    """Return the JSON object, without the time. `output` is None if nothing was written."""
-    assessment = learned.model.assessment
-    assert assessment is not None
-    return {
-        "model": None if output is None else str(output),
-        "model_id": None if output is None else learned.model.id,
-        "verdict": None if output is None else assessment.verdict,
-        "train": learned.train.to_json(),
-        "test": None if learned.test is None else learned.test.to_json(),
-        "improved": learned.improved,
-        "kept": learned.selected.what,
-        "candidates": [trial.to_json() for trial in learned.trials],
-        "effects": {name: dict(values) for name, values in named.items()},
-        "epochs": learned.trained.epochs,
-        "log_latency_s": learned.log_latency_s if log_latency and output is not None else None,
-        "notes": list(learned.notes),
-    }
-
-
-def _print(
-    learned: Learned, output: Path, named: Mapping[str, Mapping[str, float]], log_latency: bool
-) -> None:
+def _print(learned: Learned, output: Path) -> None:
     """Print what was learned and written."""
     from trimtab.host.base.output import say
 
     rounds = f"{learned.trained.epochs} rounds over {learned.segments} segments"
+    latency_s = learned.log_latency_s
     say(
         f"{output}  id {learned.model.id}  {rounds}",
-        *(_numbers(name, values) for name, values in named.items()),
-        *([f"poses are {1e3 * learned.log_latency_s:.1f} ms older than stamped"] if log_latency else []),
+        *(_numbers(name, values) for name, values in learned.learned_effects.items()),
+        *([] if latency_s is None else [f"poses are {1e3 * latency_s:.1f} ms older than stamped"]),
         *(_line(name, judged) for name, judged in (("used", learned.train), ("held out", learned.test))),
     )
 

@@ -21,9 +21,9 @@ def info(log: Path, *, json: Json = False) -> None:
         Flight log to read.
     """
     from trimtab.host.base.output import emit, say
-    from trimtab.host.log import describe, to_lines
+    from trimtab.host.log import read_flight, to_lines
 
-    description = describe(log)
+    description = read_flight(log).to_dict()
     say(*to_lines(description))
     emit(description, json)
 

@@ -5,11 +5,11 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from trimtab.host.verbs.plan_options import PlanOptions, PlanTask
+from trimtab.host.api.plan import PlanTask, plan_task
+from trimtab.host.verbs.plan_options import PlanOptions
 
 if TYPE_CHECKING:
     from trimtab.host.plan.result import Plan
-    from trimtab.host.route import LimitsOverride
 
 REPORT_SUFFIX = ".html"
 _ROUNDING_M = 1e-3
@@ -26,6 +26,8 @@ def command(route: str, *, options: PlanOptions = DEFAULTS) -> None:
     route
         Route file, by name or path, at most 500 s long. NAME:SEED draws a random route with another seed.
     """
+    import sys
+
     from trimtab.host.base.errors import UsageError
     from trimtab.host.verbs import plan_pareto
 
@@ -34,53 +36,22 @@ def command(route: str, *, options: PlanOptions = DEFAULTS) -> None:
     plan_pareto.check_options(options)
     if options.report is not None:
         _check_report(options.report, options.force)
-    task = _read(route, options)
+    task = plan_task(
+        route,
+        options.vehicle,
+        model=options.model,
+        accept_undecided=options.accept_undecided,
+        total_time_s=options.time_s,
+        headroom=options.headroom,
+        clearance_m=options.clearance,
+        nodes=options.nodes,
+        workspace=options.workspace,
+        command=sys.argv[1:],
+    )
     if options.pareto:
         plan_pareto.trade(task, options)
     else:
         _plan(task, options)
-
-
-def _read(route: str, options: PlanOptions) -> PlanTask:
-    """Read the files that the options name. Raises UsageError."""
-    from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.plan.residual import ResidualModel
-    from trimtab.host.route import route_file
-    from trimtab.host.workspace import open_workspace
-
-    space = open_workspace(options.workspace)
-    vehicle = space.vehicle(options.vehicle)
-    target = space.route(route, vehicle)
-    model, effects, residual = None, None, ResidualModel()
-    if options.model is not None:
-        from trimtab.host.effects import load_effects
-        from trimtab.host.verbs.options import accepted_model
-
-        model = accepted_model(options.model, options.accept_undecided, vehicle_id=vehicle.id)
-        effects = load_effects(space.root)
-        try:
-            residual = ResidualModel.of(model, effects)
-        except ValueError as error:
-            raise UsageError(f"{options.model}: {error}") from None
-    parents = {"vehicle": vehicle.id, "route": target.id}
-    if model is not None:
-        parents["model"] = model.id
-    return PlanTask(
-        route=target,
-        vehicle=vehicle,
-        model=model,
-        residual=residual,
-        planner_options={
-            "effects": effects,
-            "headroom": None if options.headroom is None else _headroom(*options.headroom),
-            "total_time_s": options.time_s,
-            "nodes": options.nodes,
-            "clearance_m": options.clearance,
-            "source": route_file(route, space.root),
-        },
-        provenance=artefacts.provenance(parents=parents),
-    )
 
 
 def _plan(task: PlanTask, options: PlanOptions) -> None:
@@ -88,42 +59,24 @@ def _plan(task: PlanTask, options: PlanOptions) -> None:
     from trimtab.host.base import artefacts
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.plan import plan
-    from trimtab.host.plan.files import check_name, figures, write_plan
-    from trimtab.host.plan.sensitivity import sensitivity
-    from trimtab.host.plan.table import from_reference
+    from trimtab.host.plan.files import check_name, write_plan
 
     target = check_name(options.output or Path(f"{task.route.name}.ref"), options.force)
     with Progress(f"planning {task.route.name}"):
-        result = plan(
-            task.route,
-            task.vehicle,
-            kind=options.kind or ("min-residual" if task.residual.has_force else "min-snap"),
-            model=task.model,
+        result = task.plan(
+            kind=options.kind,
+            stretch=options.stretch,
             time_box=options.time_box,
             time_weight=options.time_weight,
-            stretch=options.stretch,
-            **task.planner_options,
         )
     if options.report is not None:
         from trimtab.host.report.plan import page
 
         text = page(result, task.route, task.vehicle, task.residual, task.provenance)
         artefacts.write_atomic(options.report, text, options.force)
-    write_plan(result, target, provenance=task.provenance, force=options.force)
+    write_plan(result, target, force=options.force)
     say(*_lines(result, target, options.report))
-    samples = from_reference(result.reference)
-    bound = sensitivity(task.vehicle, task.residual, samples, result.reference.yaw_nodes())
-    assessment = None if task.model is None else task.model.assessment
-    answer = {
-        "reference": str(target),
-        "id": result.reference.id,
-        "model_verdict": None if assessment is None else assessment.verdict,
-        **figures(result),
-        "sensitivity": None if bound is None else bound.to_json(),
-        "report": options.report,
-    }
-    emit(answer, options.json)
+    emit(result.to_dict(path=target, report_path=options.report), options.json)
 
 
 def _check_report(path: Path, force: bool) -> None:
@@ -134,16 +87,6 @@ def _check_report(path: Path, force: bool) -> None:
     if path.suffix != REPORT_SUFFIX:
         raise UsageError(f"{path}: give the report a name that ends in {REPORT_SUFFIX}")
     artefacts.check_output(path, force)
-
-
-def _headroom(low: float, high: float) -> LimitsOverride:
-    """Return these shares of a rotor's thrust as limits. Raises UsageError."""
-    from trimtab.host.base.errors import UsageError
-    from trimtab.host.route import LimitsOverride
-
-    if not 0.0 <= low < high <= 1.0:
-        raise UsageError(f"--headroom {low:g} {high:g}: give two shares within 0 to 1, the lower one first")
-    return LimitsOverride(thrust_headroom=(low, high))
 
 
 def _lines(plan: Plan, target: Path, report: Path | None) -> list[str]:

@@ -1,16 +1,14 @@
-"""Options of `trimtab plan`, and what they name."""
+"""Options of `trimtab plan`."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
 from trimtab.host.verbs.options import (
-    DEFAULT_VEHICLE,
     AcceptUndecided,
     Force,
     Json,
@@ -18,12 +16,7 @@ from trimtab.host.verbs.options import (
     VehicleName,
     WorkspaceFolder,
 )
-
-if TYPE_CHECKING:
-    from trimtab.host.models.model import Model
-    from trimtab.host.plan.residual import ResidualModel
-    from trimtab.host.route import Route
-    from trimtab.host.vehicle import Vehicle
+from trimtab.host.workspace import DEFAULT_VEHICLE
 
 
 @Parameter(name="*")
@@ -91,18 +84,3 @@ class PlanOptions:
     force: Force = False
     json: Json = False
     workspace: WorkspaceFolder = None
-
-
-@dataclass(frozen=True, kw_only=True)
-class PlanTask:
-    """Content of the files that the options name.
-
-    `planner_options` are further arguments of `host.plan.plan`. `provenance` goes into every written file.
-    """
-
-    route: Route
-    vehicle: Vehicle
-    model: Model | None
-    residual: ResidualModel
-    planner_options: Mapping[str, Any]
-    provenance: Mapping[str, Any]

@@ -8,9 +8,10 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from collections.abc import Sequence
 
+    from trimtab.host.api.plan import PlanTask
     from trimtab.host.plan.flown import Flown
     from trimtab.host.plan.pareto import Point
-    from trimtab.host.verbs.plan_options import PlanOptions, PlanTask
+    from trimtab.host.verbs.plan_options import PlanOptions
 
 _LEFT_OUT_WITH_VALUE = ("-o", "--output", "--report")
 _LEFT_OUT = ("--json", "--force")

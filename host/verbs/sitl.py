@@ -13,7 +13,8 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.workspace import DEFAULT_VEHICLE
 
 if TYPE_CHECKING:
     from trimtab.host.vehicle import Vehicle

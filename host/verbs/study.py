@@ -9,7 +9,8 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import DEFAULT_VEHICLE, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.workspace import DEFAULT_VEHICLE
 
 REPORT_NAME, JSON_NAME = "report.html", "report.json"
 

@@ -2,27 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import Annotated
 
 from cyclopts import Parameter
 
+from trimtab.host.api.load import load_vehicle
+from trimtab.host.api.trace import FILES, JSON_NAME, MODEL_NAME, REPORT_NAME, trace, write_trace
 from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
-
-if TYPE_CHECKING:
-    from trimtab.host.log import Flight
-    from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
-    from trimtab.host.trace.result import Trace
-    from trimtab.host.vehicle import Vehicle
-    from trimtab.host.workspace import Workspace
-
-MODEL_NAME = "trace.model.toml"
-REPORT_NAME = "trace.html"
-JSON_NAME = "trace.json"
-NETWORK_NAME = "unexplained.model.toml"
 
 
 @Parameter(name="*")
@@ -71,90 +59,41 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     check_jobs(options.jobs)
     one_thread_of_algebra()
 
+    import sys
+
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.base.progress import Progress
-    from trimtab.host.effects import load_effects
-    from trimtab.host.log import log_parents, read_flight
-    from trimtab.host.trace.answer import to_json
-    from trimtab.host.trace.run import run
+    from trimtab.host.log import read_flight
     from trimtab.host.trace.words import result_lines
-    from trimtab.host.workspace import open_workspace
 
     if not logs:
         raise UsageError("no log given; name one or more flight logs")
     if options.hold_out is not None and not options.hold_out:
         raise UsageError("--hold-out names no log; give one or more or leave it out")
-    space = open_workspace(options.workspace)
-    vehicle = None if options.vehicle is None else space.vehicle(options.vehicle)
+    vehicle = None
+    if options.vehicle is not None:  # before the logs are read
+        vehicle = load_vehicle(options.vehicle, options.workspace)
     if options.output is not None:
-        artefacts.check_folder(
-            options.output, (MODEL_NAME, REPORT_NAME, JSON_NAME, NETWORK_NAME), options.force
-        )
+        artefacts.check_folder(options.output, FILES, options.force)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
-    airframe = vehicle or flights[0].vehicle
     with Progress("tracing") as progress:
-        result = run(
+        result = trace(
             flights,
             held_out,
-            load_effects(space.root),
             vehicle=vehicle,
-            manoeuvres=lambda: manoeuvres(space, airframe),
-            provenance=artefacts.provenance(parents=log_parents(flights, held_out)),
             network=options.network,
             jobs=options.jobs,
+            workspace=options.workspace,
+            command=sys.argv[1:],
             on_progress=lambda step: progress.advance(0.0, step),
         )
-    answer = (
-        to_json(result)
-        if options.output is None
-        else _write(result, flights, held_out, options.output, options.force)
-    )
-    if options.output is not None:
+    if options.output is None:
+        answer = result.to_dict()
+    else:
+        answer = write_trace(result, options.output, flights, held_out, force=options.force)
         say(f"model, report and JSON are in {options.output}: {MODEL_NAME}, {REPORT_NAME}, {JSON_NAME}")
     say(*result_lines(result))
     emit(answer, options.json)
-
-
-def _write(
-    result: Trace, flights: Sequence[Flight], held_out: Sequence[Flight], folder: Path, force: bool
-) -> dict[str, Any]:
-    """Write model, report, JSON and, if there is one, the network; return the answer with their paths."""
-    from trimtab.host.base import artefacts
-    from trimtab.host.base.output import json_text
-    from trimtab.host.models.file import write_model
-    from trimtab.host.report.trace import page, pictures, shown_flights
-    from trimtab.host.trace.answer import to_json
-
-    network = None if result.unexplained is None else result.unexplained.model
-    answer = to_json(
-        result,
-        model_path=str(folder / MODEL_NAME),
-        report_path=str(folder / REPORT_NAME),
-        network_path=None if network is None else str(folder / NETWORK_NAME),
-    )
-    shown = shown_flights(result, flights, held_out)
-    report = page(result, flights, held_out, shown, answer, pictures(result))
-    folder.mkdir(parents=True, exist_ok=True)
-    write_model(result.model, folder / MODEL_NAME, force=force)
-    if network is not None:
-        write_model(network, folder / NETWORK_NAME, force=force)
-    artefacts.write_atomic(folder / REPORT_NAME, report, force)
-    artefacts.write_atomic(folder / JSON_NAME, json_text(answer), force)
-    return answer
-
-
-def manoeuvres(space: Workspace, vehicle: Vehicle) -> tuple[Manoeuvre, ...]:
-    """Return the routes, shipped or in the workspace, that this vehicle can fly."""
-    from trimtab.host.route import list_routes
-    from trimtab.host.trace.next_flight.manoeuvres import manoeuvres as flyable
-    from trimtab.host.vehicle import ConfigurationError
-
-    routes = {}
-    for name in list_routes(space.root):
-        # A faulty route file does not stop a trace.
-        with suppress(ConfigurationError):
-            routes[name] = space.route(name)
-    return flyable(routes, vehicle)

@@ -71,7 +71,7 @@ def fly_upload(channel: str, seed: int, number: int) -> dict[str, Any]:
     first, then, at_us = references()
     result, air = _fly(channel, seed, number, first, then, at_us)
     _, alone = _fly(channel, seed, number, first, None, 0)
-    swap = result.to_json()["swap"]
+    swap = result.to_dict()["swap"]
     digest = hashlib.sha256(then.to_bytes()).digest()
     begin_us = next(left_us for left_us, frame in air.upload if digest in frame)  # of its first UPLOAD_BEGIN
     end_us = begin_us + round(1e6 * (swap["upload_s"] or 0.0))

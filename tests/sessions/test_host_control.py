@@ -25,7 +25,7 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded
 from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.summary import FlightResult
-from trimtab.host.log import Flight, describe, partial_path, read_flight, recover, topics
+from trimtab.host.log import Flight, partial_path, read_flight, recover, topics
 from trimtab.host.log.export import csv_tables
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at, tracking_error
@@ -99,11 +99,11 @@ def test_log_holds_every_step_of_the_controller(
     # Ten milliseconds of computing, and the uplink's delay as the clocks' exchange gives it.
     ahead_us = steps.act_us - steps.t_us - steps.computing_us
     assert 7_000 < ahead_us.min() <= ahead_us.max() < 11_000
-    answer = result.to_json()["control"]
+    answer = result.to_dict()["control"]
     assert answer["steps"] == answer["solved"] == answer["sent"] == len(steps)
     assert (answer["late"], answer["budget_spent"], answer["infeasible"]) == (0, 0, 0)
     assert answer["stopped"] is None
-    assert describe(result.log)["control"] | {"stopped": None} == answer
+    assert read_flight(result.log).to_dict()["control"] | {"stopped": None} == answer
     assert any(line.startswith("controller outer-loop (0123456789ab): ") for line in result.to_lines())
     rows, table = csv_tables(result.log)["host-control.csv"]
     assert rows == len(steps)
@@ -285,7 +285,7 @@ def test_controller_without_a_command_leaves_the_vehicle_to_its_hold(
     with pytest.raises(FlightEnded, match=r"outer-loop gave no command any more") as caught:
         fly(simulate(), control=by_host(vehicle, controller), parameters={"FS_OFFB_HOLD_S": 1.0})
     assert caught.value.exit_code == 1
-    answer = caught.value.result.to_json()
+    answer = caught.value.result.to_dict()
     assert (answer["whole"], answer["failsafe"], answer["interrupted"]) == (False, None, False)
     assert answer["control"]["stopped"] == "no-command"
     assert answer["control"]["budget_spent"] == 9
@@ -410,5 +410,5 @@ def test_second_reference_with_a_controller_is_refused(
 def test_log_without_a_controller_has_no_channel_for_one(flown: tuple[FlightResult, Flight]) -> None:
     result, flight = flown
     assert flight.host_control is None
-    assert result.to_json()["control"] is None
+    assert result.to_dict()["control"] is None
     assert topics.HOST_CONTROL not in scan(result.log).by_topic()

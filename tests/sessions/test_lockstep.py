@@ -25,7 +25,7 @@ from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.tasks import FreshStatus
 from trimtab.host.link.upload import upload_lockstep
 from trimtab.host.link.vehicle_match import neutral_feedforward
-from trimtab.host.log import Flight, LogError, describe, read_flight, recover, topics
+from trimtab.host.log import Flight, LogError, read_flight, recover, topics
 from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at
@@ -206,7 +206,7 @@ def test_session_over_a_lossy_radio_flies_all_the_same(
         gone = counts[way]["lost"] / counts[way]["sent"]
         assert link[f"{way}_lost_share"] == pytest.approx(gone, abs=0.05), way
         assert link[f"{way}_lost"] < counts[way]["lost"] + 10
-    assert link == describe(result.log)["link"]
+    assert link == read_flight(result.log).to_dict()["link"]
     assert 5.0 < link["rtt_ms"] < link["rtt_ms_p99"] < 200.0
     assert 10.0 < link["mocap_age_ms_p50"] < link["mocap_age_ms_p99"] <= link["mocap_age_ms_max"] + 1.0
     # A pose travels in a frame of its own, of which somewhat fewer are lost than of full ones.
@@ -338,7 +338,7 @@ def test_session_that_loses_mocap_ends_in_failsafe_with_its_log_kept(
     flight = read_flight(result.log)
     assert flight.failsafe == "mocap-lost"
     assert not flight.tracking_whole
-    assert result.to_json()["failsafe"] == "mocap-lost"
+    assert result.to_dict()["failsafe"] == "mocap-lost"
 
 
 def restamped(simulated: Any, stamp: Callable[[int, int], list[int]]) -> Any:
@@ -404,7 +404,7 @@ def test_session_that_loses_the_link_lands_and_says_so(fly: Fly, simulate: Simul
     simulated.serial_write = serial_write
     with pytest.raises(FlightEnded, match="failsafe: link lost") as caught:
         fly(simulated)
-    assert caught.value.result.to_json()["failsafe"] == "link-lost"
+    assert caught.value.result.to_dict()["failsafe"] == "link-lost"
     flight = read_flight(caught.value.result.log)
     assert flight.failsafe == "link-lost"
     assert flight.mocap is not None
@@ -457,7 +457,7 @@ def test_session_interrupted_leaves_a_readable_log(fly: Fly, tmp_path: Path) -> 
 
     with pytest.raises(FlightInterrupted, match=r"^its log is .*flight\.mcap$") as caught:
         fly(on_phase=press)
-    told = caught.value.result.to_json()
+    told = caught.value.result.to_dict()
     assert (told["log"], told["interrupted"]) == (str(tmp_path / "flight.mcap"), True)
     flight = read_flight(tmp_path / "flight.mcap")
     assert flight.status is not None

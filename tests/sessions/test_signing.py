@@ -100,7 +100,7 @@ def test_swap_in_a_signed_flight_takes_over(
     nodes = tuple(node._replace(t_us=node.t_us - at_us) for node in after)
     then = dataclasses.replace(reference, nodes=nodes, free_ends=True)
     result = fly(simulate(key=KEY.key), key=KEY, then=then, swap_us=at_us)
-    swap = result.to_json()["swap"]
+    swap = result.to_dict()["swap"]
     assert swap["happened"], swap["reason"]
 
 

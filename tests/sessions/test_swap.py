@@ -73,7 +73,7 @@ def test_flight_with_a_swap_is_logged_as_the_one_composed_reference(
     result = fly(then=then, swap_us=AT_US)
     assert result.end is not None
     assert result.end.whole
-    swap = result.to_json()["swap"]
+    swap = result.to_dict()["swap"]
     assert (swap["happened"], swap["reason"], swap["reference"]) == (True, None, then.id)
     assert swap["at_s"] == pytest.approx(3.15)
     assert 0.1 < swap["upload_s"] < 2.0
@@ -143,7 +143,7 @@ def test_upload_in_flight_takes_its_share_of_the_slots_and_delays_poses_by_one_a
     flight = read_flight(results[0].log)
     assert flight.tracking is not None
     begin_us = flight.tracking[0] + int(flight.metadata["arm_host_us"])
-    swap = results[0].to_json()["swap"]
+    swap = results[0].to_dict()["swap"]
     end_us = begin_us + round(1e6 * swap["upload_s"])
     shared = sorted(t for t in arrivals[0].keys() & arrivals[1].keys() if begin_us <= t <= end_us)
     late = [arrivals[0][t] - arrivals[1][t] for t in shared]

@@ -13,7 +13,7 @@ import pytest
 from mcap.reader import make_reader
 from mcap.writer import Writer
 
-from trimtab.host.log import Flight, LogWriter, Provenance, describe, read_flight, recover
+from trimtab.host.log import Flight, LogWriter, Provenance, read_flight, recover
 from trimtab.host.log.export import csv_tables
 from trimtab.host.log.file_time import LAST_US
 from trimtab.host.log.writer import Stamps
@@ -79,8 +79,12 @@ def test_log_lasts_as_long_for_other_readers_as_for_ours(log_path: Path) -> None
     assert summary is not None
     assert summary.statistics is not None
     spanned_ns = summary.statistics.message_end_time - summary.statistics.message_start_time
-    assert spanned_ns * 1e-9 == pytest.approx(describe(log_path)["duration_s"]) == pytest.approx(6.994)
-    assert describe(log_path)["provenance"]["time_unit"] == "ns"
+    assert (
+        spanned_ns * 1e-9
+        == pytest.approx(read_flight(log_path).to_dict()["duration_s"])
+        == pytest.approx(6.994)
+    )
+    assert read_flight(log_path).to_dict()["provenance"]["time_unit"] == "ns"
 
 
 def test_log_of_an_older_version_reads_to_the_same_flight(
@@ -90,7 +94,7 @@ def test_log_of_an_older_version_reads_to_the_same_flight(
     old.write_bytes(old_bytes)
     _assert_same(read_flight(old), read_flight(log_path))
     assert csv_tables(old) == csv_tables(log_path)
-    assert describe(old)["duration_s"] == describe(log_path)["duration_s"]
+    assert read_flight(old).to_dict()["duration_s"] == read_flight(log_path).to_dict()["duration_s"]
 
 
 def test_recover_cut_log_of_an_older_version_is_written_in_nanoseconds(

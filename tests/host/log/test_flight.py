@@ -23,7 +23,6 @@ from trimtab.host.log import (
     LogError,
     LogWriter,
     Provenance,
-    describe,
     failsafe_name,
     read_flight,
     to_lines,
@@ -221,7 +220,7 @@ def test_failsafe_names_are_those_of_the_messages_and_have_words() -> None:
 
 
 def test_describe_says_what_is_in_it(log_path: Path) -> None:
-    told = describe(log_path)
+    told = read_flight(log_path).to_dict()
     assert told["tracking_s"] == [3.0, 5.0]
     assert told["topics"]["/mocap/pose"] == {"messages": 700, "rate_hz": 100.0, "sampling": "sampled"}
     assert told["topics"]["/fc/control"]["sampling"] == "averaged"

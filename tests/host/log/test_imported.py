@@ -12,7 +12,6 @@ from trimtab.host.log import (
     Mocap,
     RecordedImu,
     RecordedInputs,
-    describe,
     read_flight,
     write_imported,
 )
@@ -62,7 +61,7 @@ def test_imported_flight_reads_back(tmp_path: Path, vehicle: Vehicle) -> None:
     np.testing.assert_array_equal(flight.recorded_imu.t_us, imu_us)
     assert flight.battery is not None
     np.testing.assert_array_equal(flight.battery.battery_v, 15.5)
-    assert describe(path)["topics"]["/recorded/imu"]["messages"] == 500
+    assert read_flight(path).to_dict()["topics"]["/recorded/imu"]["messages"] == 500
 
 
 @pytest.mark.parametrize("level", ["thrust-torque", "reference"])

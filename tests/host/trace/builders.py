@@ -16,6 +16,7 @@ from trimtab.host.effects import Closing, Effect, ExactAlias
 from trimtab.host.effects.effect import Signal
 from trimtab.host.effects.parameter import Parameter
 from trimtab.host.log import Battery, Flight, Mocap
+from trimtab.host.log.contents import LogContents
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
@@ -379,6 +380,7 @@ def build_flight(
         tracking_whole=True,
         failsafe=None,
         duration_s=float(t_s[-1]),
+        contents=LogContents(size=0, topics={}, recovered=False),
     )
 
 

@@ -1,0 +1,76 @@
+"""Flights of a simulated vehicle, with the sealed truth beside their logs."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from contextlib import closing
+from dataclasses import dataclass
+from pathlib import Path
+
+from trimtab.host.base.artefacts import content_id, write_atomic
+from trimtab.host.link.flight_request import FlightRequest
+from trimtab.host.link.fly import fly_lockstep
+from trimtab.host.link.summary import FlightResult
+from trimtab.host.link.vehicle import vehicle_class
+
+
+@dataclass(frozen=True, kw_only=True)
+class Simulation:
+    """What is simulated. No artefact but the sealed truth may hold any of it.
+
+    world, plant_options: name or path; None for the default. plant: path.py:Class, instead of a world.
+    realtime: whether it keeps to the wall clock.
+    """
+
+    world: str | Path | None
+    world_seed: int
+    plant: str | None
+    plant_options: str | Path | None
+    realtime: bool
+
+    @property
+    def is_default(self) -> bool:
+        """Whether no option chooses anything."""
+        return not (self.world or self.world_seed or self.plant or self.plant_options or self.realtime)
+
+
+def fly_simulated(
+    request: FlightRequest, simulation: Simulation, flight: int, on_phase: Callable[[str], None]
+) -> FlightResult:
+    """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log.
+
+    Raises the same errors as `fly_lockstep`. The truth is written also then, if the log was.
+    """
+    first = request.reference.nodes_ned()[0].state
+    world, options = simulation.world, simulation.plant_options
+    simulated = vehicle_class().create(
+        request.vehicle,
+        world=None if world is None else str(world),
+        world_seed=simulation.world_seed,
+        flight=flight,
+        plant=simulation.plant,
+        plant_options=None if options is None else str(options),
+        start_ned=(first[0], first[1], 0.0),
+        start_yaw=request.reference.yaw_nodes()[0].yaw,
+        key=None if request.key is None else request.key.key,
+    )
+    before = _file_number(request.log_path)
+    with closing(simulated):
+        try:
+            return fly_lockstep(request, simulated, realtime=simulation.realtime, on_phase=on_phase)
+        finally:
+            if _file_number(request.log_path) not in (None, before):
+                _write_truth(request.log_path, simulated.truth())
+
+
+def _file_number(path: Path) -> int | None:
+    """Return the inode of the file at `path`, or None if there is no file."""
+    return path.stat().st_ino if path.exists() else None
+
+
+def _write_truth(log: Path, truth: dict[str, object]) -> None:
+    """Write the sealed truth beside the log, with the log's id. Only checks open it."""
+    record = {**truth, "log": content_id(log.read_bytes())}
+    text = json.dumps(record, indent=2, sort_keys=True) + "\n"
+    write_atomic(log.with_name(log.name + ".truth.json"), text, force=True)
