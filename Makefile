@@ -67,4 +67,5 @@ docs: $(READY)
 	$(PYTHON) docs/generators/manoeuvres.py docs/reference/manoeuvres.md
 	$(PYTHON) docs/generators/rules.py docs/reference/tracing-rules.md
 	$(PYTHON) docs/generators/failsafes.py docs/reference/failsafes.md
+	$(PYTHON) docs/generators/api.py docs/reference/python.md
 	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/concepts/upload.svg

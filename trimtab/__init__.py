@@ -23,31 +23,42 @@ if TYPE_CHECKING:
     from trimtab.host.api.load import load_effects, load_route, load_vehicle
     from trimtab.host.api.plan import plan
     from trimtab.host.api.trace import trace, write_trace
-    from trimtab.host.base.errors import LinkError, TrimtabError, UsageError
+    from trimtab.host.base.errors import LinkError, Refused, TrimtabError, UsageError
+    from trimtab.host.effects import EffectError
     from trimtab.host.export.samples import Samples, sample
+    from trimtab.host.imports import ImportFormatError
     from trimtab.host.learn.result import Learned
     from trimtab.host.link.blob_files import read_reference
     from trimtab.host.link.fly import FlightEnded
     from trimtab.host.link.summary import FlightResult
     from trimtab.host.log import Flight, LogError, read_flight
+    from trimtab.host.log.errors import TooLittleData
     from trimtab.host.models.file import read_model, write_model
     from trimtab.host.models.model import Model
     from trimtab.host.plan import Plan, PlanRefused, PlanUnsolved, write_plan
+    from trimtab.host.trace.decision.findings import LogsRefused
     from trimtab.host.trace.result import Trace
+    from trimtab.host.vehicle import ConfigurationError
 
 _HOMES = {
+    "ConfigurationError": "vehicle",
+    "EffectError": "effects",
     "Flight": "log",
     "FlightEnded": "link.fly",
     "FlightResult": "link.summary",
+    "ImportFormatError": "imports",
     "Imported": "api.imports",
     "Learned": "learn.result",
     "LinkError": "base.errors",
     "LogError": "log",
+    "LogsRefused": "trace.decision.findings",
     "Model": "models.model",
     "Plan": "plan",
     "PlanRefused": "plan",
     "PlanUnsolved": "plan",
+    "Refused": "base.errors",
     "Samples": "export.samples",
+    "TooLittleData": "log.errors",
     "Trace": "trace.result",
     "TrimtabError": "base.errors",
     "UsageError": "base.errors",
@@ -70,18 +81,24 @@ _HOMES = {
 """Module below `trimtab.host` that defines each public name."""
 
 __all__ = [
+    "ConfigurationError",
+    "EffectError",
     "Flight",
     "FlightEnded",
     "FlightResult",
+    "ImportFormatError",
     "Imported",
     "Learned",
     "LinkError",
     "LogError",
+    "LogsRefused",
     "Model",
     "Plan",
     "PlanRefused",
     "PlanUnsolved",
+    "Refused",
     "Samples",
+    "TooLittleData",
     "Trace",
     "TrimtabError",
     "UsageError",

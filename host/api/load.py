@@ -23,7 +23,7 @@ def load_effects(workspace: str | Path | None = None) -> dict[str, Effect]:
 
     Returns
     -------
-    dict of str to Effect
+    dict[str, Effect]
         Each effect has its equation, and its parameters with units, typical sizes and tolerances.
 
     Raises

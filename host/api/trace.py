@@ -126,7 +126,7 @@ def write_trace(
 
     Returns
     -------
-    dict
+    dict[str, Any]
         The object of `Trace.to_dict`, with the paths of the files.
 
     Raises

@@ -5,6 +5,7 @@ from trimtab.host.log.flight import read_flight
 from trimtab.host.log.identity import is_same_flight, log_parents
 from trimtab.host.log.imported import write_imported
 from trimtab.host.log.info import to_lines
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.recover import Recovery, recover
 from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
@@ -13,7 +14,6 @@ from trimtab.host.log.tracks import (
     Battery,
     Control,
     Estimate,
-    Flight,
     HostControl,
     LinkHealth,
     Mocap,

@@ -6,7 +6,7 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.log.tracks import Flight
+from trimtab.host.log.one_flight import Flight
 from trimtab.protocol.generated import host_control_pb2
 from trimtab.protocol.telemetry import TICK_US
 

@@ -9,9 +9,10 @@ from foxglove_schemas_protobuf.Log_pb2 import Log
 
 from trimtab.host.log import topics
 from trimtab.host.log.flight import State
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.read_topics import decoded
 from trimtab.host.log.scan import Scan
-from trimtab.host.log.tracks import Flight, failsafe_name
+from trimtab.host.log.tracks import failsafe_name
 
 EventKind = Literal["phase", "failsafe", "text"]
 

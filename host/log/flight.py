@@ -18,6 +18,7 @@ from trimtab.host.log import topics
 from trimtab.host.log.composed import composed, swap_us
 from trimtab.host.log.contents import LogContents
 from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import (
     AUTOPILOT,
     FEEDFORWARD_FILE,
@@ -43,7 +44,6 @@ from trimtab.host.log.read_topics import (
 )
 from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
 from trimtab.host.log.tracks import (
-    Flight,
     HostControl,
     failsafe_name,
 )

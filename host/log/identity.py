@@ -6,7 +6,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from trimtab.host.log.tracks import Flight, Mocap
+from trimtab.host.log.one_flight import Flight
+from trimtab.host.log.tracks import Mocap
 
 _SESSION = ("session_uid", "arm_host_us")
 """Entries of the metadata that name a flight: the vehicle's session and the host's time of arming."""

@@ -7,10 +7,11 @@ from typing import Any
 
 from trimtab.host.base.card import card, table
 from trimtab.host.log import control_report, link_report
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import is_simulated
 from trimtab.host.log.topics import MOCAP_POSE
 from trimtab.host.log.tracking import feedforward_faded_s
-from trimtab.host.log.tracks import FAILSAFE_WORDS, Flight
+from trimtab.host.log.tracks import FAILSAFE_WORDS
 
 
 def describe(flight: Flight) -> dict[str, Any]:

@@ -6,7 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.log.tracks import Flight, LinkHealth
+from trimtab.host.log.one_flight import Flight
+from trimtab.host.log.tracks import LinkHealth
 
 
 def link_report(flight: Flight) -> dict[str, Any]:

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from trimtab.host.log.errors import TooLittleData
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.smoothing import Series, Smoothed, smooth
-from trimtab.host.log.tracks import Control, Estimate, Flight
+from trimtab.host.log.tracks import Control, Estimate
 
 STEP_S = 0.02
 _TOGETHER = 16

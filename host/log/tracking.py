@@ -8,7 +8,8 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.firmware_model.law.reference import cubic_at, cubic_coefficients, septic_at, septic_coefficients
-from trimtab.host.log.tracks import Flight, Floats, Times
+from trimtab.host.log.one_flight import Flight
+from trimtab.host.log.tracks import Floats, Times
 from trimtab.protocol.blobs import Reference
 
 FLAT_SIZE = 14

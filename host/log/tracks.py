@@ -1,4 +1,4 @@
-"""A flight in memory: one type of arrays for each topic, and the flight that holds them.
+"""The arrays of a flight, one type for each topic.
 
 Times are integer microseconds on the host's clock from arming (an import: from its first sample). The world
 is NED, the body FRD.
@@ -8,15 +8,11 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, fields, replace
-from pathlib import Path
 from typing import Annotated, Any, Self
 
 import numpy as np
 from numpy.typing import NDArray
 
-from trimtab.host.log.contents import LogContents
-from trimtab.host.vehicle import Vehicle
-from trimtab.protocol.blobs import FeedForward, Reference
 from trimtab.protocol.generated import flight_pb2
 from trimtab.protocol.telemetry import TICK_US
 
@@ -80,7 +76,17 @@ class _Track:
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Mocap(_Track):
-    """Camera poses: time of measurement and of arrival, p_ned, q_ned_frd."""
+    """Poses of the camera system, as they arrived.
+
+    Attributes
+    ----------
+    t_us, t_arrival_us
+        Times of measurement and of arrival at the host, us.
+    p
+        Position in NED, m.
+    q
+        Attitude of FRD in NED as a quaternion, w first.
+    """
 
     t_us: Annotated[Times, "poses"]
     t_arrival_us: Annotated[Times, "poses"]
@@ -90,7 +96,21 @@ class Mocap(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Estimate(_Track):
-    """The on-board estimate: p_ned, v_ned, q_ned_frd, rate_frd, gyro bias, age of the pose last used."""
+    """The on-board estimate.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    p, v
+        Position and velocity in NED, m and m/s.
+    q
+        Attitude of FRD in NED as a quaternion, w first.
+    rate, gyro_bias
+        Body rate without the bias of the gyro, and that bias, FRD, rad/s.
+    mocap_age_s
+        Age of the pose last used, s.
+    """
 
     t_us: Annotated[Times, "samples"]
     p: Annotated[Floats, "samples 3"]
@@ -103,12 +123,27 @@ class Estimate(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Control(_Track):
-    """Commands and integrals at t1_us; means over (t0_us, t1_us] of motors, gyro and specific force (FRD).
+    """Commands and integrals at the ends of intervals, and means over the intervals.
 
     A motor command acts from its tick to the next one. Gyro and specific force are sampled at the ticks after
-    t0_us up to t1_us, so their means belong to the interval `sensed_us`. The rate integral is the control
-    law's sum of errors up to t1_us, each over the tick that follows it. Rows with an invalid interval are
+    t0_us up to t1_us, so their means belong to the interval `sensed_us`. Rows with an invalid interval are
     left out.
+
+    Attributes
+    ----------
+    t0_us, t1_us
+        Start (excluded) and end of each interval, us.
+    collective
+        Commanded collective thrust at t1_us, N.
+    rate_cmd, torque
+        Commanded body rate and torque at t1_us, FRD, rad/s and N m.
+    rate_integral
+        The law's integral of the body rate's error up to t1_us, FRD, rad/s^2: its sum of errors, each over
+        the tick that follows it.
+    motor_mean
+        Mean motor command, 0 to 1, in the order of the vehicle's rotors.
+    gyro_mean, force_mean
+        Mean gyro and specific force, FRD, rad/s and m/s^2.
     """
 
     t0_us: Annotated[Times, "intervals"]
@@ -129,7 +164,15 @@ class Control(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Observer(_Track):
-    """The on-board disturbance observer's estimate at t_us, m/s^2, NED."""
+    """The estimate of the on-board disturbance observer.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    disturbance
+        Acceleration that gravity, nominal thrust and feed-forward do not explain, NED, m/s^2.
+    """
 
     t_us: Annotated[Times, "samples"]
     disturbance: Annotated[Floats, "samples 3"]
@@ -137,7 +180,30 @@ class Observer(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
-    """State and failsafe (numbers as in flight.proto), battery voltage, times of ticks, counts since boot."""
+    """State and health of the vehicle.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    state, failsafe
+        Numbers as in flight.proto.
+    battery_v
+        Voltage of the battery, V.
+    loop_max_us, loop_mean_us, jitter_us
+        Greatest and mean work time of a tick, and greatest deviation of its beginning, since the last
+        status, us.
+    loop_overruns, receive_overruns, bad_bytes
+        Ticks that came late, bytes lost for lack of space, and bytes of no complete message, since boot.
+    saturated_ticks, flight_ticks, poses_used
+        Counts since boot. Saturated: the motors could not produce the command.
+    mocap_age_max_us
+        Greatest age of the newest pose used, since the last status, us.
+    conditions, action
+        Active rows of the failsafe table, by bit, and the action taken.
+    feedforward_faded
+        Percent of the residual acceleration fed forward that is faded out.
+    """
 
     t_us: Annotated[Times, "samples"]
     state: Annotated[Times, "samples"]
@@ -156,12 +222,30 @@ class Status(_Track):
     conditions: Annotated[Times, "samples"]
     action: Annotated[Times, "samples"]
     feedforward_faded: Annotated[Times, "samples"]
-    """Percent of the residual acceleration fed forward that is faded out."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class LinkHealth(_Track):
-    """Counters of the link since connection, round trip, clock offsets (vehicle or camera minus host)."""
+    """Health of the link. Counts are since connection.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    frames_sent, frames_received, frames_lost, frames_repeated
+        Radio frames, both ways.
+    messages_sent, messages_received, messages_lost
+        Messages sent and received by the host, and lost on the way to it.
+    bytes_sent, bytes_received, bad_bytes
+        Bytes at the host's port.
+    rtt_us, rtt_last_us
+        Smoothed and newest round trip, us.
+    clock_offset_us, clock_offset_sd_us, camera_offset_us
+        The vehicle's clock minus the host's with its standard deviation, and the cameras' clock minus the
+        host's, us.
+    radios
+        Final counters of both radios, by the names in flight.proto; None unless both report.
+    """
 
     t_us: Annotated[Times, "samples"]
     frames_sent: Annotated[Times, "samples"]
@@ -180,16 +264,32 @@ class LinkHealth(_Track):
     clock_offset_sd_us: Annotated[Floats, "samples"]
     camera_offset_us: Annotated[Floats, "samples"]
     radios: Mapping[str, int] | None = None
-    """Final counters of both radios, by the names in flight.proto."""
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HostControl(_Track):
     """Steps of a controller on the host that flew the vehicle.
 
-    A command of zeros where `commanded` is False was not sent. Times and `start_us`, the start of the
-    reference, are on the log's clock. `act_us` is when a command was to take effect; `late_us` is how much
-    later than declared it was sent. `outcome`: numbers as in flight.proto.
+    Attributes
+    ----------
+    t_us
+        Times of the steps, us.
+    outcome, iterations
+        Outcome (numbers as in flight.proto) and iterations of the solver.
+    estimate_age_us
+        Age of the estimate that the step used, us.
+    act_us, late_us
+        When the command was to take effect, and how much later than declared it was sent, us.
+    commanded
+        Whether a command was sent; the values of one that was not are zeros.
+    rate_cmd, collective
+        Commanded body rate, FRD, rad/s, and nominal collective thrust, N.
+    start_us
+        Start of the reference, us.
+    period_us, computing_us
+        Time between two steps, and declared computing time, us.
+    controller, settings_id, model_id
+        Name of the controller, id of its settings, and id of its model; None without one.
     """
 
     t_us: Annotated[Times, "steps"]
@@ -211,10 +311,22 @@ class HostControl(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedInputs(_Track):
-    """Inputs of a foreign vehicle; `level` says which arrays are present.
+    """Inputs of a foreign vehicle. Arrays that were not recorded are None.
 
-    "motor": motor in 0..1. "thrust-torque": thrust_n, torque_n_m FRD. "reference": p_ref and, if the log has
-    them, v_ref, a_ref NED and yaw_ref. Arrays of lower levels may be present too.
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    level
+        Which arrays are present: "motor", "thrust-torque" or "reference". Those of lower levels may be too.
+    motor
+        Motor commands, 0 to 1, in the order of the vehicle's rotors.
+    thrust_n, torque_n_m
+        Commanded collective thrust, N, and torque, FRD, N m.
+    p_ref, v_ref, a_ref
+        Position, velocity and acceleration of the reference, NED, m, m/s and m/s^2.
+    yaw_ref
+        Heading of the reference, rad.
     """
 
     t_us: Annotated[Times, "inputs"]
@@ -238,7 +350,15 @@ class RecordedInputs(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedImu(_Track):
-    """A foreign vehicle's gyro and specific force, FRD; None for one that was not recorded."""
+    """IMU of a foreign vehicle. An array that was not recorded is None.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    gyro, specific_force
+        Body rate and specific force, FRD, rad/s and m/s^2.
+    """
 
     t_us: Annotated[Times, "samples"]
     gyro: Annotated[Floats, "samples 3"] | None
@@ -247,88 +367,15 @@ class RecordedImu(_Track):
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class Battery(_Track):
-    """Battery voltage."""
-
-    t_us: Annotated[Times, "voltages"]
-    battery_v: Annotated[Floats, "voltages"]
-
-
-@dataclass(frozen=True, kw_only=True, eq=False)
-class Flight:
-    """One flight or import. Absent data is None.
+    """Voltage of the battery.
 
     Attributes
     ----------
-    id, path
-        First 12 hex digits of the SHA-256 of the log, and its path.
-    kind
-        "flight" or "imported".
-    vehicle
-        The vehicle file in the log.
-    reference, reference_id
-        Reference that was flown.
-    feedforward, firmware_parameters
-        Feed-forward that was flown, and the parameters on board by name.
-    metadata
-        Provenance of the log: version, command, host seed, index of the flight, and others.
-    mocap, estimate, control, observer, status, link
-        Arrays of each topic.
-    recorded_inputs, recorded_imu
-        Inputs and IMU of a foreign vehicle.
-    battery
-        Voltage over time.
-    tracking
-        Start and end of the interval that learning and errors use, us.
-    tracking_whole
-        Whether the reference was flown to its end. Always True for an import.
-    failsafe
-        Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS.
-    duration_s
-        Duration of the log, s.
-    contents
-        Size and topics of the log's file.
-    host_control
-        Steps of a controller on the host; None if the vehicle flew by its own law, or in an import.
+    t_us
+        Times, us.
+    battery_v
+        Voltage, V.
     """
 
-    id: str
-    path: Path
-    kind: str
-    vehicle: Vehicle
-    reference: Reference | None
-    reference_id: str | None
-    feedforward: FeedForward | None
-    firmware_parameters: Mapping[str, float] | None
-    metadata: Mapping[str, str]
-    mocap: Mocap | None
-    estimate: Estimate | None
-    control: Control | None
-    observer: Observer | None
-    status: Status | None
-    link: LinkHealth | None
-    recorded_inputs: RecordedInputs | None
-    recorded_imu: RecordedImu | None
-    battery: Battery | None
-    tracking: tuple[int, int] | None
-    tracking_whole: bool
-    failsafe: str | None
-    duration_s: float
-    contents: LogContents
-    host_control: HostControl | None = None
-
-    @property
-    def flown_by_own_law(self) -> bool:
-        """Whether the reference and the law on board explain the flight: no other controller commanded."""
-        known = self.reference is not None and self.firmware_parameters is not None
-        return known and self.host_control is None
-
-    def to_dict(self) -> dict[str, Any]:
-        """Return the object that `trimtab log info --json` prints, as plain data."""
-        from trimtab.host.log.info import describe
-
-        return describe(self)
-
-    def _repr_html_(self) -> str:
-        from trimtab.host.log.info import flight_card
-
-        return flight_card(self)
+    t_us: Annotated[Times, "voltages"]
+    battery_v: Annotated[Floats, "voltages"]

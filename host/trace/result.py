@@ -25,7 +25,15 @@ from trimtab.host.trace.selection import Diagnosis
 
 @dataclass(frozen=True, kw_only=True)
 class Value:
-    """One parameter with its standard deviation, both in `unit`."""
+    """One parameter.
+
+    Attributes
+    ----------
+    value, sd
+        Value and standard deviation, in `unit`.
+    unit
+        Unit of both.
+    """
 
     value: float
     sd: float
@@ -36,8 +44,18 @@ class Value:
 class Named:
     """A named effect.
 
-    parameters: by key. probability: posterior. aliases: probability of each alias. exact_aliases: aliases
-    that fit every flight exactly as well, with what the flights show of the pair.
+    Attributes
+    ----------
+    name, title
+        Name of the effect, and what it is.
+    parameters
+        Values by key.
+    probability
+        Posterior probability that it is present.
+    aliases
+        Probability of each alias.
+    exact_aliases
+        Aliases that fit every flight exactly as well, with what the flights show of the pair.
     """
 
     name: str

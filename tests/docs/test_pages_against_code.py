@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from generators import effects, failsafes, rules
+from generators import api, effects, failsafes, rules
 from google.protobuf.message import Message
 
 from trimtab.firmware_model.services.files import FILES
@@ -79,6 +79,25 @@ def test_rules_page_is_the_one_the_code_makes() -> None:
 
 def test_failsafes_page_is_the_one_the_code_makes() -> None:
     assert text_of("failsafes.md") == failsafes.page(), "run `make docs`"
+
+
+def test_python_page_is_the_one_the_code_makes() -> None:
+    assert text_of("reference/python.md") == api.page(), "run `make docs`"
+
+
+def test_python_page_refuses_a_docstring_that_misses_something() -> None:
+    def half(first: int, second: int) -> int:
+        """Return one.
+
+        Parameters
+        ----------
+        first
+            The first.
+        """
+        return first + second
+
+    with pytest.raises(api.DocstringError, match="documents"):
+        list(api.function_lines("half", half))
 
 
 def test_imports_page_names_every_format_and_every_unknown() -> None:

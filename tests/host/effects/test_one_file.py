@@ -22,7 +22,7 @@ from trimtab.host.effects.effect import Family, Signal
 from trimtab.host.effects.parameter import NumberOptions
 from trimtab.host.effects.unknowns import POSE_LATENCY, THRUST, UNKNOWN
 from trimtab.host.log import Battery, Mocap, RecordedImu, read_flight, write_imported
-from trimtab.host.log.tracks import Flight
+from trimtab.host.log.one_flight import Flight
 from trimtab.host.models.model import Model
 from trimtab.host.trace import words
 from trimtab.host.trace.data.signals import departure, has_signals
