@@ -168,7 +168,7 @@ def _class(name: str, value: Any) -> Iterator[str]:
     yield from (f"### {name}", "", text, "")
     for names, meaning in sections["Attributes"]:
         shapes = list(dict.fromkeys(filter(None, (_shape(fields[each]) for each in names.split(", ")))))
-        shown = f" ({'; '.join(shapes)})" if shapes else ""
+        shown = f", {' and '.join(shapes)}" if shapes else ""
         yield f"- {_code(names)}{shown}: {meaning}"
     for each, member in sorted(vars(value).items()):
         if each.startswith("_") or each in fields:

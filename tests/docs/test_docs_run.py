@@ -12,6 +12,7 @@ from pathlib import Path
 import pytest
 
 from tests.docs.page_commands import PAGES, ROOT, page_of
+from tests.docs.python_blocks import script_of
 
 TEXTS = {page.relative_to(ROOT).as_posix(): page.read_text(encoding="utf-8") for page in PAGES}
 RUN = [name for name, text in TEXTS.items() if any(each.skipped is None for each in page_of(text).commands)]
@@ -61,8 +62,16 @@ def test_commands_of_page_run_as_printed(name: str, workspace_after: Callable[[s
 
 def test_pages_of_the_loop_are_run() -> None:
     assert {
-        f"docs/guide/{name}.md" for name in ("first-flight", "tracing", "learning", "planning", "correction")
+        f"docs/guide/{name}.md"
+        for name in ("first-flight", "tracing", "learning", "planning", "correction", "python")
     } <= {*RUN}
+
+
+def test_python_blocks_of_a_page_keep_their_lines() -> None:
+    page = "# A page\n\n```python\na = 1\n```\n\n    trimtab doctor\n\n```python\nb = a\nb = 1 / 0\n```\n"
+    with pytest.raises(ZeroDivisionError) as caught:
+        exec(compile(script_of(page), "page.md", "exec"), {})
+    assert caught.traceback[-1].lineno + 1 == 11
 
 
 @pytest.mark.parametrize(
