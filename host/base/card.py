@@ -13,13 +13,13 @@ Row = Sequence[object]
 _BADGE = "border:1px solid currentColor;border-radius:.3em;padding:0 .4em;font-size:.85em;font-weight:normal"
 
 
-def card(title: str, facts: Iterable[Row], *tables: str, badge: str | None = None) -> str:
+def card(title: str, facts: Iterable[tuple[str, object]], *tables: str, badge: str | None = None) -> str:
     """Return a card: a title with a badge, facts as rows of name and value, and tables made by `table`.
 
     A fact whose value is None is left out. All texts are escaped.
     """
     mark = "" if badge is None else f' <span style="{_BADGE}">{escape(badge)}</span>'
-    known = [fact for fact in facts if fact[1] is not None]
+    known = [(name, _text(value)) for name, value in facts if value is not None]
     return (
         f'<div class="trimtab"><p style="margin:.3em 0;font-weight:bold">{escape(title)}{mark}</p>'
         f"{table((), known)}{''.join(tables)}</div>"
@@ -47,12 +47,14 @@ def _row(tag: str, cells: Row) -> str:
 
 
 def _cell(tag: str, value: object) -> str:
-    is_number = isinstance(value, float | int) and not isinstance(value, bool)
+    is_number = value is None or (isinstance(value, float | int) and not isinstance(value, bool))
+    style = f"text-align:{'right' if is_number else 'left'};padding:.1em .8em .1em 0"
+    return f'<{tag} style="{style}">{escape(_text(value))}</{tag}>'
+
+
+def _text(value: object) -> str:
     if value is None:
-        text = "-"
-    elif isinstance(value, bool):
-        text = "yes" if value else "no"
-    else:
-        text = f"{value:.4g}" if isinstance(value, float) else str(value)
-    align = "right" if is_number else "left"
-    return f'<{tag} style="text-align:{align}">{escape(text)}</{tag}>'
+        return "-"
+    if isinstance(value, bool):
+        return "yes" if value else "no"
+    return f"{value:.4g}" if isinstance(value, float) else str(value)

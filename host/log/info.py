@@ -83,7 +83,7 @@ def flight_card(flight: Flight) -> str:
             ("reference", flight.reference_id),
             ("duration", f"{flight.duration_s:.2f} s"),
             ("tracking", interval),
-            ("flown to its end", flight.tracking_whole),
+            ("flown to its end", flight.tracking_whole if flight.kind == "flight" else None),
             ("ended by failsafe", flight.failsafe),
         ],
         table(

@@ -234,13 +234,13 @@ class Model:
                 ("prediction error of held-out flights", held_out),
                 ("network, hidden layers", None if network is None else str(network.layout.hidden)),
                 ("logs", len(self.data)),
+                ("adjusted within tolerance", ", ".join(self.adjustments) or None),
             ],
             table(
-                ("effect", "parameter", "value", "sd", "kind"),
+                ("effect", "parameter", "value", "sd"),
                 [
-                    (name, key, value, self.sd(name, key), kind)
-                    for kind, group in (("named", self.effects), ("adjustment", self.adjustments))
-                    for name, values in group.items()
+                    (name, key, value, self.sd(name, key))
+                    for name, values in self.effects.items()
                     for key, value in values.items()
                 ],
             ),

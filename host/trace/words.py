@@ -236,6 +236,7 @@ def trace_card(result: Trace) -> str:
             ("vehicle", result.model.vehicle_name),
             ("flights", len(result.audits)),
             ("prediction error of held-out flights", held_out),
+            ("not excluded", ", ".join(f"{name} ({p:.2f})" for name, p in result.possible.items()) or None),
             ("propose to fly next", None if planned is None else planned.route),
             *(("reason", each) for each in sentences(result.findings, OUTSIDE_LIBRARY_CODES | DOUBTS)),
         ],

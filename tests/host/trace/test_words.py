@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from html import escape
 from pathlib import Path
 from types import SimpleNamespace
 from typing import Any, cast
@@ -23,7 +24,7 @@ from trimtab.host.trace.data.stretches import STRETCH_ORDER, UnusedStretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Finding, Verdict
 from trimtab.host.trace.prediction import Errors
-from trimtab.host.trace.result import Trace
+from trimtab.host.trace.result import Trace, Value
 from trimtab.host.trace.sentences import (
     no_tracking,
     sentence,
@@ -383,3 +384,23 @@ def test_result_lines_of_an_effect_hold_its_alternatives_and_the_exact_alias_by_
     assert "or mass" not in lines[1]
     assert lines[2] == f"    {words.exact_alias(observed)}"
     assert "flights show only thrust over mass: 0.9314 +- 0.0050" in lines[2]
+
+
+def test_card_holds_verdict_effects_reasons_and_what_was_simulated() -> None:
+    value = Value(value=0.51234, sd=0.02, unit="1/s")
+    effect = replace(build_named("drag<x>"), parameters={"dx": value}, probability=0.875)
+    html = words.trace_card(
+        trace(
+            verdict=Verdict.UNDECIDED,
+            findings=(EXAMPLES[Code.HOVER_ONLY][0], EXAMPLES[Code.FORCE_RINGS][0]),
+            effects=(effect,),
+            possible={"gain": 0.321},
+            audits=(audit_of("a"), audit_of("b")),
+            simulated_flights=1,
+        )
+    )
+    for text in ("Trace: undecided", "drag&lt;x&gt;", "0.5123", "0.875", "gain (0.32)"):
+        assert text in html
+    assert "1 of 2 flights simulated" in html
+    for code in (Code.HOVER_ONLY, Code.FORCE_RINGS):
+        assert escape(sentence(EXAMPLES[code][0])) in html
