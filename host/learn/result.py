@@ -124,6 +124,9 @@ class Learned:
             "notes": list(self.notes),
         }
 
+    def __repr__(self) -> str:
+        return f"<Learned {self.selected.what}, model {self.model.id}>"
+
     def _repr_html_(self) -> str:
         judged = [("used", self.train), *([] if self.test is None else [("held out", self.test)])]
         return card(

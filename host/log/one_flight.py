@@ -99,6 +99,9 @@ class Flight:
 
         return describe(self)
 
+    def __repr__(self) -> str:
+        return f"<Flight {self.path.name}, id {self.id}, {self.duration_s:.2f} s>"
+
     def _repr_html_(self) -> str:
         from trimtab.host.log.info import flight_card
 

@@ -203,6 +203,9 @@ class Plan:
             "report": None if report_path is None else str(report_path),
         }
 
+    def __repr__(self) -> str:
+        return f"<Plan {self.route.name}, {self.label}, {self.duration_s:.2f} s, id {self.reference.id}>"
+
     def _repr_html_(self) -> str:
         clearance_m, residual = self.clearance_m, self.residual_rms_m_s2
         return card(

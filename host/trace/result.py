@@ -142,6 +142,10 @@ class Trace:
 
         return to_json(self, model_path=model_path, report_path=report_path, network_path=network_path)
 
+    def __repr__(self) -> str:
+        named = ", ".join(effect.name for effect in self.effects)
+        return f"<Trace {': '.join(filter(None, (str(self.verdict), named)))}>"
+
     def _repr_html_(self) -> str:
         from trimtab.host.trace.words import trace_card
 

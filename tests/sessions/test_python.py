@@ -116,6 +116,7 @@ def test_plan_gives_the_reference_and_the_answer_of_the_verb(
     assert records[0]["provenance"]["command"] is None
     assert records[0]["plan"] == records[1]["plan"]
     assert "thrust_low" in made._repr_html_()
+    assert repr(made) == f"<Plan pretzel, min-snap, {made.duration_s:.2f} s, id {made.reference.id}>"
 
 
 def test_read_flight_has_the_answer_of_log_info(run_trimtab: Run) -> None:
@@ -123,6 +124,7 @@ def test_read_flight_has_the_answer_of_log_info(run_trimtab: Run) -> None:
     flight = tt.read_flight(DATA / "a1.mcap")
     assert same(flight.to_dict(), printed)
     assert "/mocap/pose" in flight._repr_html_()
+    assert repr(flight) == f"<Flight a1.mcap, id {flight.id}, {flight.duration_s:.2f} s>"
 
 
 def test_names_are_found_in_the_workspace_which_is_the_current_folder(

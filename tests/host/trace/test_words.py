@@ -404,3 +404,8 @@ def test_card_holds_verdict_effects_reasons_and_what_was_simulated() -> None:
     assert "1 of 2 flights simulated" in html
     for code in (Code.HOVER_ONLY, Code.FORCE_RINGS):
         assert escape(sentence(EXAMPLES[code][0])) in html
+
+
+def test_trace_is_shown_in_one_line() -> None:
+    assert repr(trace(named=("drag", "lag"))) == "<Trace traced: drag, lag>"
+    assert repr(trace(verdict=Verdict.UNDECIDED)) == "<Trace undecided>"
