@@ -56,7 +56,7 @@ def _arrays(value: Any, name: str = "") -> Iterator[tuple[str, Any]]:
     """Yield every number and array of a flight with its name, without those that belong to the file."""
     if dataclasses.is_dataclass(value):
         for field in dataclasses.fields(value):
-            if (name, field.name) not in (("", "id"), ("", "path"), ("", "metadata")):
+            if name or field.name not in ("id", "path", "metadata", "contents"):
                 yield from _arrays(getattr(value, field.name), f"{name}.{field.name}")
     else:
         yield name, value
