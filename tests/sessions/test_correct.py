@@ -14,7 +14,7 @@ import pytest
 
 from tests.one_table import COLUMNS, one_table
 from trimtab.host.log import Flight, read_flight
-from trimtab.host.log.info import describe, to_lines
+from trimtab.host.log.info import to_lines
 from trimtab.host.log.scan import scan
 from trimtab.host.log.topics import LOG
 from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
@@ -141,7 +141,7 @@ def test_reference_beyond_the_region_fades_the_correction_and_is_told(
     assert told["tracking_rmse_m"] < 1.1 * error_m
     texts = [entry.data for entry in scan(flight.path).by_topic()[LOG]]
     assert sum(b"feed-forward fades: beyond its region" in text for text in texts) == 1
-    described = describe(flight.path)
+    described = flight.to_dict()
     assert described["feedforward_faded_s"] == told["feedforward_faded_s"] == feedforward_faded_s(flight)
     line = f"faded for {told['feedforward_faded_s']:.1f} s beyond its region"
     assert any(line in text for text in to_lines(described))
