@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
 from trimtab.host.workspace import open_workspace
 
 if TYPE_CHECKING:
@@ -102,6 +101,8 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     UsageError, ConfigurationError, EffectError
         If arguments do not go together, or a file cannot be used.
     """
+    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+
     check_jobs(jobs)
     one_thread_of_algebra()
     from trimtab.host.base import artefacts
