@@ -22,8 +22,10 @@ if TYPE_CHECKING:
     from trimtab.host.api.learn import learn
     from trimtab.host.api.load import load_effects, load_route, load_vehicle
     from trimtab.host.api.plan import plan
+    from trimtab.host.api.predict import predict
     from trimtab.host.api.trace import trace, write_trace
     from trimtab.host.base.errors import LinkError, Refused, TrimtabError, UsageError
+    from trimtab.host.compare.prediction import Prediction
     from trimtab.host.effects import EffectError
     from trimtab.host.export.samples import Samples, sample
     from trimtab.host.imports import ImportFormatError
@@ -56,6 +58,7 @@ _HOMES = {
     "Plan": "plan",
     "PlanRefused": "plan",
     "PlanUnsolved": "plan",
+    "Prediction": "compare.prediction",
     "Refused": "base.errors",
     "Samples": "export.samples",
     "TooLittleData": "log.errors",
@@ -69,6 +72,7 @@ _HOMES = {
     "load_route": "api.load",
     "load_vehicle": "api.load",
     "plan": "api.plan",
+    "predict": "api.predict",
     "read_flight": "log",
     "read_model": "models.file",
     "read_reference": "link.blob_files",
@@ -96,6 +100,7 @@ __all__ = [
     "Plan",
     "PlanRefused",
     "PlanUnsolved",
+    "Prediction",
     "Refused",
     "Samples",
     "TooLittleData",
@@ -109,6 +114,7 @@ __all__ = [
     "load_route",
     "load_vehicle",
     "plan",
+    "predict",
     "read_flight",
     "read_model",
     "read_reference",

@@ -52,7 +52,7 @@ _ARRAYS = (
 )  # fmt: skip
 _ORDER = (
     "load_vehicle", "load_route", "load_effects", "plan", "write_plan", "read_reference", "sample", "fly",
-    "import_log", "read_flight", "trace", "write_trace", "learn", "read_model", "write_model",
+    "import_log", "read_flight", "trace", "write_trace", "predict", "learn", "read_model", "write_model",
 )  # fmt: skip
 """Functions in the order of the work."""
 

@@ -120,6 +120,8 @@ class Prediction:
         Data that drive the predictions, and how far they reach; None for whole flights.
     flights
         The flights, those with a date first and in the order of their dates.
+    together, nominal_together
+        Errors over the samples of all flights, with the model and with the nominal one.
     inactive
         Effects of the model that do not act in predictions of these logs, because the logs lack what shows
         them.
@@ -133,6 +135,14 @@ class Prediction:
     together: Score
     nominal_together: Score
     inactive: tuple[str, ...] = ()
+
+    def __repr__(self) -> str:
+        return f"<Prediction: {len(self.flights)} flights of {self.vehicle}>"
+
+    def _repr_html_(self) -> str:
+        from trimtab.host.compare.prediction_words import prediction_card
+
+        return prediction_card(self)
 
     @property
     def median_m(self) -> float | None:

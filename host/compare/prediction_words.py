@@ -1,7 +1,8 @@
-"""A prediction as lines of text."""
+"""A prediction as lines of text, and as a card."""
 
 from __future__ import annotations
 
+from trimtab.host.base.card import card, table
 from trimtab.host.compare.prediction import FlightPrediction, Prediction, Score
 from trimtab.host.compare.statistics import Difference
 
@@ -44,6 +45,24 @@ def notes(result: Prediction) -> list[str]:
     if result.inactive:
         out.append(f"{', '.join(result.inactive)}: cannot act in predictions of these logs")
     return out
+
+
+def prediction_card(result: Prediction) -> str:
+    """Return the HTML card of a prediction for notebooks."""
+    difference = result.difference
+    return card(
+        f"Prediction of {len(result.flights)} flights",
+        [
+            ("vehicle", result.vehicle),
+            ("model", result.model_id or "nominal"),
+            ("error of all flights", _rmse(result.together, result.nominal_together, difference is not None)),
+            ("model less nominal", None if difference is None else _difference(difference)),
+        ],
+        table(
+            ("log", "model", "nominal", "made the model"),
+            [(each.log, _score(each.model), _score(each.nominal), each.used) for each in result.flights],
+        ),
+    )
 
 
 def _flight(flight: FlightPrediction, compared: bool) -> str:

@@ -125,7 +125,7 @@ def ended(stream: Any, expected: Doubt, **options: Any) -> FlightResult:
     assert result.end is not None
     assert result.end.doubt is expected
     assert not result.end.whole
-    assert result.to_json()["doubt"] == str(expected)
+    assert result.to_dict()["doubt"] == str(expected)
     return result
 
 
@@ -155,7 +155,8 @@ def test_stock_pymavlink_reads_what_the_host_sends(stream: Any, reference: Refer
 
     _, line = stream()
     parser, codec = common.MAVLink(None), Codec(*m.HOST)
-    read: list[Any] = [parser.parse_buffer(bytearray(codec.encode(each)))[0] for each in line.sent]
+    decode: Any = parser.parse_buffer
+    read = [decode(bytearray(codec.encode(each)))[0] for each in line.sent]
     assert len(read) == len(line.sent)
     setpoints = [each for each in read if each.get_type() == "SET_POSITION_TARGET_LOCAL_NED"]
     assert all(each.type_mask == 0 and each.coordinate_frame == 1 for each in setpoints)

@@ -204,6 +204,21 @@ def test_trace_gives_the_answer_and_the_files_of_the_verb(
     assert str(result.verdict) in result._repr_html_()
 
 
+def test_predict_gives_the_answer_of_the_verb(run_trimtab: Run, tmp_path: Path, drag_model: str) -> None:
+    shutil.copy(DATA / "a1.mcap", tmp_path)
+    code, printed, _ = run_trimtab("predict", drag_model, "a1.mcap", "--json")
+    assert code == 0
+    result = tt.predict(drag_model, [tt.read_flight("a1.mcap")])
+    assert same({"model_file": drag_model, **json.loads(json.dumps(result.to_dict()))}, printed)
+    assert "a1.mcap" in result._repr_html_()
+    assert tt.predict(None, [tt.read_flight("a1.mcap")]).model_id is None
+
+
+def test_predict_without_flights_is_refused() -> None:
+    with pytest.raises(tt.UsageError, match="no flight to predict"):
+        tt.predict(None, [])
+
+
 def test_trace_without_flights_is_refused() -> None:
     with pytest.raises(tt.UsageError, match="no flight given"):
         tt.trace([])
