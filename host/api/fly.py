@@ -15,6 +15,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.workspace import DEFAULT_VEHICLE, Workspace, open_workspace
 
 if TYPE_CHECKING:
+    from trimtab.host.link.flight_request import Ask
     from trimtab.host.link.host_control import FlownBy
     from trimtab.host.link.keys import StationKey
     from trimtab.host.link.simulated import Simulation
@@ -54,6 +55,9 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     then: str | Path | None = None,
     at_s: float | None = None,
     key: str | Path | None = None,
+    autopilot: str | None = None,
+    ask: Ask | None = None,
+    confirmed: bool = False,
     workspace: str | Path | None = None,
     command: Sequence[str] | None = None,
     on_phase: Callable[[str], None] = lambda _: None,
@@ -112,6 +116,14 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         Time at which it takes over, s of the first reference. Default: the latest time possible.
     key
         Key file, if the vehicle has a key.
+    autopilot
+        "px4" or "ardupilot": stream setpoints to that autopilot instead of an upload. Without a port, a
+        simulated vehicle stands in for it.
+    ask
+        Shows lines to a person before another autopilot at a port is armed. Returns a function that returns
+        the answer, None before there is one.
+    confirmed
+        Arm without asking: you state that the room is clear.
     workspace
         Folder with vehicles, effects and controllers of yours. Default: the current folder.
     command
@@ -135,6 +147,7 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     Refused
         If the vehicle refuses the reference or to arm.
     """
+    from trimtab.host.autopilot.kinds import autopilot_kind
     from trimtab.host.base import artefacts
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
     from trimtab.host.link.drivers import Interrupts
@@ -147,6 +160,18 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         world=world, world_seed=world_seed, plant=plant, plant_options=plant_options, realtime=realtime
     )
     _check(simulation, port, mocap, mocap_delay_ms, min(seed, world_seed, flight or 0))
+    kind = None if autopilot is None else autopilot_kind(autopilot)
+    if kind is not None:
+        given = {
+            "--as-flashed": as_flashed,
+            "--parameter": parameters,
+            "--feedforward": feedforward,
+            "--controller": controller,
+            "--model": model,
+            "--then": then,
+            "--key": key,
+        }
+        _check_autopilot(given, asks=port is None or confirmed or ask is not None)
     index = _flight_index(path, flight, any_log=log is not None or force)
     space = open_workspace(workspace)
     airframe = vehicle_of(vehicle, space)
@@ -169,6 +194,8 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         accept_undecided=accept_undecided,
         then=then,
         at=at_s,
+        autopilot=autopilot,
+        yes=confirmed,
     )
     if flight is None or command is None:
         words = [*words, "--flight", str(index)]
@@ -189,6 +216,8 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         swap_us=_swap_us(blob, following, at_s),
         control=by.control,
         key=_key(key, port),
+        autopilot=kind,
+        ask=None if port is None or confirmed else ask,
     )
     try:
         if port is not None and mocap is not None:
@@ -215,6 +244,18 @@ def _check(simulation: Simulation, port: str | None, mocap: str | None, delay_ms
         raise UsageError("a seed or flight index is negative; give 0 or more")
     if not 0.0 <= delay_ms <= 1000.0:
         raise UsageError(f"--mocap-delay-ms {delay_ms:g} is out of range; give 0 to 1000")
+
+
+def _check_autopilot(given: Mapping[str, object], *, asks: bool) -> None:
+    """Refuse options that another autopilot cannot follow. Raises UsageError.
+
+    asks: whether somebody confirms, or need not.
+    """
+    useless = ", ".join(option for option, value in given.items() if value)
+    if useless:
+        raise UsageError(f"--autopilot flies by the autopilot's own law; leave out {useless}")
+    if not asks:
+        raise UsageError("nobody is asked before the vehicle is armed; run it in a terminal, or add --yes")
 
 
 def _flight_index(reference: Path, flight: int | None, *, any_log: bool) -> int:

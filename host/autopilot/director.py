@@ -31,6 +31,7 @@ from trimtab.host.link.flight_tasks import AwaitPoses, Interrupted
 from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import Command, SettleClock, Task
 from trimtab.host.log import LogError, LogWriter, Provenance
+from trimtab.host.log.provenance import flown_by
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
 
@@ -178,7 +179,12 @@ class StreamDirector:
             vehicle=request.vehicle,
             reference=request.reference.to_bytes(),
             model_id=request.model_id,
-            session={**request.session, "arm_host_us": str(now_us), "autopilot": self._kind.name},
+            session={
+                **request.session,
+                **flown_by(self._situation.simulated, self.session.utc_us),
+                "arm_host_us": str(now_us),
+                "autopilot": self._kind.name,
+            },
         )
         self._log = LogWriter(request.log_path, provenance)
         self.log_open = True

@@ -41,6 +41,8 @@ class Situation:
         Newest LOCAL_POSITION_NED, ATTITUDE, SYS_STATUS, and MAV_LANDED_STATE; None before the first.
     position_us
         Host time at which `position` arrived.
+    simulated
+        True if it says that it is a simulated vehicle of Trimtab, else None: other simulators do not say so.
     pose
         Newest valid pose of the cameras; None before the first.
     """
@@ -51,6 +53,7 @@ class Situation:
         m.Attitude,
         m.SysStatus,
         m.ExtendedSysState,
+        m.AutopilotVersion,
     )
 
     def __init__(self, kind: AutopilotKind) -> None:
@@ -63,6 +66,7 @@ class Situation:
         self.attitude: m.Attitude | None = None
         self.health: m.SysStatus | None = None
         self.landed: int | None = None
+        self.simulated: bool | None = None
         self.pose: Pose | None = None
 
     def receive(self, message: Message, now_us: int) -> None:
@@ -79,6 +83,8 @@ class Situation:
             self.health = message
         elif isinstance(message, m.ExtendedSysState):
             self.landed = message.landed_state
+        elif isinstance(message, m.AutopilotVersion):
+            self.simulated = True if message.board_version == m.SIMULATED_BOARD else None
 
     def see(self, pose: m.AttPosMocap, t_us: int) -> Pose:
         """Take a valid camera pose that was exposed at the host's time `t_us`, and return it."""

@@ -109,6 +109,8 @@ class AwaitReady(Task):
             self._ask_us = now_us + ASK_US
             for number, interval_us in INTERVALS_US.items():
                 client.send(command_message(mavlink.MAV_CMD_SET_MESSAGE_INTERVAL, (number, interval_us)))
+            if self._situation.simulated is None:
+                client.send(command_message(mavlink.MAV_CMD_REQUEST_MESSAGE, (m.AutopilotVersion.id,)))
         self.deadline_us = now_us + self.CHECK_US
 
 

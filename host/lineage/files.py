@@ -111,7 +111,7 @@ def _log(path: Path) -> Artefact:
         command=command,
         origin=origin,
         port=None if command is None else _option(command, "--port"),
-        date=date_text(utc_date(entries)) if origin == "imported" else None,
+        date=date_text(utc_date(entries)),
     )
 
 

@@ -142,6 +142,7 @@ def run_port(
     end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
     first_us = now_us = _wall_us()
     session.client.set_epoch(wall_timestamp() - now_us // UNIT_US)
+    session.utc_offset_us = time.time_ns() // 1000 - now_us
     with Interrupts() as interrupts, selectors.DefaultSelector() as selector:
         selector.register(port, selectors.EVENT_READ)
         if cameras is not None:

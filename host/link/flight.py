@@ -33,7 +33,7 @@ from trimtab.host.link.tasks import (
 from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.vehicle_match import check_same_vehicle, neutral_feedforward
 from trimtab.host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, failsafe_name
-from trimtab.host.log.provenance import SIMULATED
+from trimtab.host.log.provenance import flown_by
 from trimtab.host.log.topics import CONTROLLED_TOPICS
 from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
@@ -259,8 +259,7 @@ class FlightDirector:
         session = dict(request.session) | {"arm_host_us": str(now_us)}
         if self.identity is not None:
             session["session_uid"] = self.identity.uid
-            if self.identity.simulated is not None:
-                session[SIMULATED] = "yes" if self.identity.simulated else "no"
+            session |= flown_by(self.identity.simulated, self.session.utc_us)
         provenance = Provenance(
             vehicle=request.vehicle,
             reference=request.reference.to_bytes(),

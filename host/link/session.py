@@ -61,6 +61,8 @@ class Session:
         The exception that ended the script, if any.
     now_us
         Time of the current step.
+    utc_offset_us
+        Time since 1970 (UTC) less the time of the steps, us; None for a simulated vehicle in this process.
     poses
         Number of valid poses received.
     forwarded
@@ -84,6 +86,7 @@ class Session:
         self.result: Any = None
         self.error: BaseException | None = None
         self.now_us = 0
+        self.utc_offset_us: int | None = None
         self.poses = 0
         self.forwarded = 0
         self._make_script = script
@@ -127,6 +130,11 @@ class Session:
         if task is not None and now_us >= task.deadline_us:
             self._guard(task.advance, client, now_us)
         return client.take()
+
+    @property
+    def utc_us(self) -> int | None:
+        """Time since 1970 (UTC), us; None for a simulated vehicle in this process."""
+        return None if self.utc_offset_us is None else self.now_us + self.utc_offset_us
 
     def outcome(self) -> Any:
         """Return the result of the finished script, or raise its error."""

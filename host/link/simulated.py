@@ -56,9 +56,10 @@ def fly_simulated(
         key=None if request.key is None else request.key.key,
     )
     before = _file_number(request.log_path)
+    flown = simulated if request.autopilot is None else simulated.as_autopilot(request.autopilot.name)
     with closing(simulated):
         try:
-            return fly_lockstep(request, simulated, realtime=simulation.realtime, on_phase=on_phase)
+            return fly_lockstep(request, flown, realtime=simulation.realtime, on_phase=on_phase)
         finally:
             if _file_number(request.log_path) not in (None, before):
                 _write_truth(request.log_path, simulated.truth())

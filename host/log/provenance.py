@@ -77,6 +77,16 @@ _SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
 """Verbs that fly a simulated vehicle unless they are given a port."""
 
 
+def flown_by(simulated: bool | None, utc_us: int | None) -> dict[str, str]:
+    """Return the entries about the vehicle that flew: whether it was simulated, and the date of a real flight.
+
+    simulated: as the vehicle says; None if it does not say. utc_us: us since 1970 at arming; None without a
+    wall clock. A simulated flight holds none, so that the same seeds give the same bytes.
+    """
+    entries = {} if simulated is None else {SIMULATED: "yes" if simulated else "no"}
+    return entries if simulated or utc_us is None else entries | {"epoch_us": str(utc_us)}
+
+
 def origin_of(metadata: Mapping[str, str]) -> Origin | None:
     """Return where the flight of a log was flown; None where its `trimtab` record does not tell.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -68,6 +68,11 @@ class FlyOptions:
         Reference to send in flight. It takes over at a point where it continues the first one.
     at
         Time at which it takes over, in seconds of the first reference. Default: the latest time possible.
+    autopilot
+        px4 or ardupilot: stream setpoints to that autopilot instead of an upload. Without --port, a simulated
+        vehicle stands in for it.
+    yes
+        Arm another autopilot at a port without asking: you state that the room is clear.
     output
         Flight log to write. Default: NAME-FLIGHT.mcap, with the reference file's name.
     """
@@ -91,6 +96,8 @@ class FlyOptions:
     accept_undecided: AcceptUndecided = False
     then: Path | None = None
     at: float | None = None
+    autopilot: Literal["px4", "ardupilot"] | None = None
+    yes: Annotated[bool, Parameter(negative="")] = False
     key: KeyFile = None
     output: Output = None
     force: Force = False
@@ -118,14 +125,19 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
     from trimtab.host.link.drivers import Interrupts
     from trimtab.host.link.flight import ON_REQUEST
     from trimtab.host.link.fly import FlightEnded, FlightInterrupted
+    from trimtab.host.verbs.confirm import ask_at_terminal
 
     parameters = _parameters(options.parameter)
+    asks = options.autopilot is not None and options.port is not None
+    ask = ask_at_terminal if asks and sys.stdin is not None and sys.stdin.isatty() else None
     try:  # outside the progress bar, which holds stdout while it is shown
-        with Progress(f"flying {reference.name}") as bar:
+        with Progress(f"flying {reference.name}", enabled=False if asks else None) as bar:
 
             def on_phase(phase: str) -> None:
                 bar.advance(1.0, phase)
-                if phase == ON_REQUEST:
+                if asks:  # line by line: a person is asked in between
+                    warn(phase)
+                elif phase == ON_REQUEST:
                     warn("landing; Ctrl-C again leaves the vehicle to its failsafe")
 
             result = fly(
@@ -152,6 +164,9 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
                 then=options.then,
                 at_s=options.at,
                 key=options.key,
+                autopilot=options.autopilot,
+                ask=ask,
+                confirmed=options.yes,
                 workspace=options.workspace,
                 command=sys.argv[1:],
                 on_phase=on_phase,

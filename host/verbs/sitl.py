@@ -9,7 +9,7 @@ from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
@@ -39,6 +39,8 @@ class SitlOptions:
         Seed of the simulated world.
     flight
         Index of the flight.
+    autopilot
+        px4 or ardupilot: speak as that autopilot would, to rehearse a flight by setpoints.
     start
         Position at which the vehicle stands, north and east in m. It stands there again if it has crashed and
         a ground station reboots it.
@@ -56,6 +58,7 @@ class SitlOptions:
     plant_options: str | None = None
     world_seed: int = 0
     flight: int = 0
+    autopilot: Literal["px4", "ardupilot"] | None = None
     start: Annotated[tuple[float, float], Parameter(negative="")] = (0.0, 0.0)
     memory: Path | None = None
     truth: Path | None = None
@@ -103,7 +106,8 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
             say(address)
 
         with closing(simulated):
-            statistics = simulated.serve(port=port, stop=stop, mocap=options.mocap, ready=on_ready)
+            served = simulated if options.autopilot is None else simulated.as_autopilot(options.autopilot)
+            statistics = served.serve(port=port, stop=stop, mocap=options.mocap, ready=on_ready)
     simulated_s = statistics.simulated_us * 1e-6
     say(f"{simulated_s:.1f} s simulated, {statistics.overruns} times behind real time")
     answer = {

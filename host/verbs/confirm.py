@@ -1,0 +1,27 @@
+"""Ask a person at the terminal while a session goes on."""
+
+from __future__ import annotations
+
+import sys
+import threading
+from collections.abc import Callable
+
+YES = "yes"
+
+
+def ask_at_terminal(lines: tuple[str, ...]) -> Callable[[], bool | None]:
+    """Show lines and a question on stderr. Return a function that returns the answer.
+
+    The answer is None before there is one. A thread waits for the line, so that poses keep flowing. Any other
+    line than `yes`, and the end of stdin, are a no.
+    """
+    answers: list[bool] = []
+
+    def wait() -> None:
+        answers.append(sys.stdin.readline().strip().lower() == YES)
+
+    for line in lines:
+        print(line, file=sys.stderr)
+    print(f"Type {YES} and Enter to arm: ", end="", file=sys.stderr, flush=True)
+    threading.Thread(target=wait, daemon=True).start()
+    return lambda: answers[0] if answers else None
