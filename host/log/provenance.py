@@ -78,10 +78,10 @@ _SIMULATING_VERBS = frozenset({"bench", "demo", "fly", "plan", "study"})
 
 
 def flown_by(simulated: bool | None, utc_us: int | None) -> dict[str, str]:
-    """Return the entries about the vehicle that flew: whether it was simulated, and the date of a real flight.
+    """Return the entries about who flew and when: whether it was simulated, and the date of a real flight.
 
     simulated: as the vehicle says; None if it does not say. utc_us: us since 1970 at arming; None without a
-    wall clock. A simulated flight holds none, so that the same seeds give the same bytes.
+    wall clock. A simulated flight has no date, so that the same seeds give the same bytes.
     """
     entries = {} if simulated is None else {SIMULATED: "yes" if simulated else "no"}
     return entries if simulated or utc_us is None else entries | {"epoch_us": str(utc_us)}
