@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.host.log.one_flight import Flight
+from trimtab.host.log.provenance import AUTOPILOT
 from trimtab.host.log.tracks import LinkHealth
 
 
@@ -16,7 +17,10 @@ def link_report(flight: Flight) -> dict[str, Any]:
     Counts and rates cover the time from arming to the end of the log. The age of poses covers the tracking
     phase. Telemetry gaps cover the whole log.
     """
-    return {**_radios(flight), **_host(flight.link), **_poses(flight), **_telemetry(flight)}
+    report = {**_radios(flight), **_host(flight.link), **_poses(flight), **_telemetry(flight)}
+    if AUTOPILOT in flight.metadata:  # it also sends messages that the host does not read, nor count
+        report |= dict.fromkeys(("frames_lost", "messages_lost"))
+    return report
 
 
 def to_lines(report: dict[str, Any]) -> list[str]:
@@ -31,9 +35,8 @@ def to_lines(report: dict[str, Any]) -> list[str]:
         rtt = "" if report["rtt_ms"] is None else f", round trip {report['rtt_ms']:.1f} ms"
         late = "" if report["rtt_ms_p99"] is None else f" ({report['rtt_ms_p99']:.1f} at 99 %)"
         by_direction = f" ({', '.join(ways)})" if ways else ""
-        lines.append(
-            f"link: {report['frames_sent']} frames, {report['frames_lost']} lost{by_direction}{rtt}{late}"
-        )
+        lost = "" if report["frames_lost"] is None else f", {report['frames_lost']} lost"
+        lines.append(f"link: {report['frames_sent']} frames{lost}{by_direction}{rtt}{late}")
     if report["mocap_age_ms_p99"] is not None:
         lines.append(
             f"poses on board {report['mocap_age_ms_p50']:.0f} ms old, "

@@ -86,6 +86,31 @@ def test_pty_flight_after_upload_tracks_and_logs(
     assert is_simulated(flight.metadata)
 
 
+def test_pty_stand_in_flies_by_setpoints_and_says_that_it_is_simulated(
+    run_trimtab: Callable[..., tuple[int, dict, str]], reference: Reference, mocap_url: str, tmp_path: Path
+) -> None:
+    (tmp_path / "eight.ref").write_bytes(reference.to_bytes())
+    with served("--port", "pty", "--mocap", mocap_url, "--autopilot", "px4") as (port, end):
+        line = ("--autopilot", "px4", "--port", port, "--mocap", mocap_url, "-o", "x.mcap", "--json")
+        code, _, complaint = run_trimtab("fly", "eight.ref", *line)
+        assert code == 2
+        assert "nobody is asked before the vehicle is armed" in complaint
+        code, _, complaint = run_trimtab("fly", "eight.ref", *line[2:])
+        assert code == 3
+        assert "does not speak Trimtab's dialect" in complaint
+        code, told, complaint = run_trimtab("fly", "eight.ref", *line, "--yes")
+        assert code == 0, complaint
+        assert [each.removeprefix("trimtab: ") for each in complaint.splitlines()] == [
+            "checking", "arming", "to the start", "tracking", "hold", "landing", "landed"
+        ]  # fmt: skip
+        end()
+    assert told["whole"]
+    assert told["tracking_rmse_m"] < 0.15
+    assert told["link"]["frames_lost"] is None
+    assert is_simulated(read_flight(tmp_path / "x.mcap").metadata)
+    assert "epoch_us" not in read_flight(tmp_path / "x.mcap").metadata
+
+
 def test_pty_key_is_installed_by_cable_and_then_needed_over_the_radio(
     run_trimtab: Callable[..., tuple[int, dict, str]], reference: Reference, mocap_url: str, tmp_path: Path
 ) -> None:
