@@ -101,8 +101,8 @@ class FindVehicle(Task):
         version = m.dialect_version(message)
         if version is None:
             raise LinkError(
-                f"{self._port}: this MAVLink vehicle does not speak Trimtab's dialect; check the port, or fly "
-                "PX4 and ArduPilot with --autopilot"
+                f"{self._port}: this MAVLink vehicle does not speak Trimtab's dialect; check the port, or "
+                "fly PX4 and ArduPilot with --autopilot"
             )
         self._check_dialect(version)
         if m.is_signed(message) and client.key is None and not self._accept_signed:
