@@ -25,6 +25,7 @@ from trimtab.host.autopilot.tasks import (
 )
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, LinkError, Refused, UsageError
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.director import Director
 from trimtab.host.link.flight import ARM_PATIENCE_US, ON_REQUEST
 from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.flight_tasks import AwaitPoses, Interrupted
@@ -39,11 +40,8 @@ POSE_US = 18_000
 """Least interval of forwarded poses. PX4's filter takes at most 50 a second without trouble."""
 
 
-class StreamDirector:
-    """Flies one request through `session`, which a driver steps. Always call `close` at the end.
-
-    The attributes are those of `trimtab.host.link.flight.FlightDirector`.
-    """
+class StreamDirector(Director):
+    """Flies one request on another autopilot."""
 
     def __init__(
         self,
@@ -56,22 +54,15 @@ class StreamDirector:
                 f"the reference {request.reference.id} does not start at rest; plan it from rest"
             )
         check_fence(request.reference, request.vehicle)
-        self.session = Session(
-            self._script, CameraClock(request.camera_delay_us), request.key, forward=self._forward
-        )
-        self.phase = "connecting"
-        self.end: FlightEnd | None = None
-        self.log_open = False
-        self.interrupted = False
+        camera = CameraClock(request.camera_delay_us)
+        super().__init__(Session(self._script, camera, request.key, forward=self._forward), on_phase)
         kind = request.autopilot
         assert kind is not None
         self._request, self._kind = request, kind
         self._highest_m = -min(node.state[2] for node in nodes)
-        self._on_phase = on_phase
         self._situation = Situation(kind)
         self._pose_us: int | None = None
-        self._log: LogWriter | None = None
-        self._recorder: StreamRecorder | None = None
+        self._stream_log: StreamRecorder | None = None
         self._flight = StreamedFlight(
             self._situation,
             request.reference,
@@ -85,20 +76,6 @@ class StreamDirector:
         at_once = self.interrupted or self._recorder is None or self._flight.stage is Stage.RELEASED
         self.interrupted = True
         self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
-
-    def abandon(self, error: BaseException) -> None:
-        """Write the error to the log and close it."""
-        with contextlib.suppress(LogError):  # the caller raises `error`, which matters more
-            if self._recorder is not None:
-                now_us = self.session.now_us
-                self._recorder.record_text(f"ended by {type(error).__name__}: {error}", now_us)
-            self.close()
-
-    def close(self) -> None:
-        """Close the log. Raises LogError if its end cannot be written."""
-        if self._log is not None:
-            self.session.listener = None
-            self._log.close()
 
     # The script.
 
@@ -188,7 +165,7 @@ class StreamDirector:
         )
         self._log = LogWriter(request.log_path, provenance)
         self.log_open = True
-        self._recorder = StreamRecorder(
+        self._recorder = self._stream_log = StreamRecorder(
             self._log, self.session.client, self.session.camera, request.reference, now_us
         )
         self._recorder.record_text("armed", now_us)
@@ -206,18 +183,12 @@ class StreamDirector:
 
     def _on_stage(self, stage: Stage) -> None:
         self._note(stage.value)
-        if self._recorder is not None and self.session.listener is not None:
+        if self._stream_log is not None and self.session.listener is not None:
             now_us = self.session.now_us
             if stage is Stage.TRACKING:
-                self._recorder.begin(self._kind.name, now_us)
-            self._recorder.record_text(self._flight.words(), now_us)
+                self._stream_log.begin(self._kind.name, now_us)
+            self._stream_log.record_text(self._flight.words(), now_us)
 
     def _on_reference(self, acts_us: int, reference_us: int, flat: Sequence[float]) -> None:
-        if self._recorder is not None and self.session.listener is not None:
-            self._recorder.setpoint(acts_us, reference_us, flat, self.session.now_us)
-
-    def _note(self, phase: str) -> None:
-        if phase != self.phase:
-            self.phase = phase
-            if self._on_phase is not None:
-                self._on_phase(phase)
+        if self._stream_log is not None and self.session.listener is not None:
+            self._stream_log.setpoint(acts_us, reference_us, flat, self.session.now_us)

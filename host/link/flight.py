@@ -14,6 +14,7 @@ from typing import Any
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, Refused, UsageError
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.control_stream import ControlStream
+from trimtab.host.link.director import Director
 from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.flight_tasks import AwaitPoses, FollowFlight, Interrupted, TakenOver
 from trimtab.host.link.parameter_tasks import ReadParameters, SetParameter
@@ -57,30 +58,19 @@ ON_REQUEST = "landing on request"
 """Phase after an interrupt, until the vehicle reports that it lands."""
 
 
-class FlightDirector:
-    """Flies one request through `session`, which a driver steps. Always call `close` at the end.
+class FlightDirector(Director):
+    """Flies one request on a Trimtab vehicle.
 
     Attributes
     ----------
-    phase
-        Name of the current phase, for display.
-    end
-        How the flight ended; None before.
     identity
         Identity of the vehicle; None before it is known.
-    log_open
-        Whether there is a log that can be read once it is closed.
-    interrupted
-        Whether the flight was interrupted.
     """
 
     def __init__(self, request: FlightRequest, on_phase: Callable[[str], None] | None = None) -> None:
-        self.session = Session(self._script, CameraClock(request.camera_delay_us), request.key)
-        self.phase = "connecting"
-        self.end: FlightEnd | None = None
+        camera = CameraClock(request.camera_delay_us)
+        super().__init__(Session(self._script, camera, request.key), on_phase)
         self.identity: Identity | None = None
-        self.log_open = False
-        self.interrupted = False
         self._request = request
         self._swap = (
             None
@@ -88,33 +78,14 @@ class FlightDirector:
             else Swap(request.then, request.swap_us, lambda: self.session.forwarded)
         )
         self._stream: ControlStream | None = None
-        self._on_phase = on_phase
         self._watch = TakeoverWatch(OF_REFERENCE if request.control is None else OF_CONTROLLER)
         self._on_board: dict[str, float] | None = None
-        self._log: LogWriter | None = None
-        self._recorder: Recorder | None = None
 
     def interrupt(self) -> None:
         """End the flight. A flying vehicle lands first; a second call ends the session immediately."""
         at_once = self.interrupted or self._recorder is None
         self.interrupted = True
         self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
-
-    def abandon(self, error: BaseException) -> None:
-        """Write the error to the log and close it. Open a log for that if arming had not happened yet."""
-        with contextlib.suppress(LogError):  # the caller raises `error`, which matters more
-            if self._recorder is None and not self.log_open:
-                self._open_log(0)
-            if self._recorder is not None:
-                now_us = self.session.now_us
-                self._recorder.record_text(f"ended by {type(error).__name__}: {error}", now_us)
-            self.close()
-
-    def close(self) -> None:
-        """Close the log. Raises LogError if its end cannot be written."""
-        if self._log is not None:
-            self.session.listener = None
-            self._log.close()
 
     # The script.
 
@@ -296,12 +267,6 @@ class FlightDirector:
         )
 
     # Following.
-
-    def _note(self, phase: str) -> None:
-        if phase != self.phase:
-            self.phase = phase
-            if self._on_phase is not None:
-                self._on_phase(phase)
 
     def _follow(self, status: m.FcStatus) -> None:
         """Show the phase. Raises TakenOver if another station's command leaves the vehicle in the air."""

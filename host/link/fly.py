@@ -5,17 +5,16 @@ from __future__ import annotations
 import contextlib
 import gc
 from collections.abc import Callable, Iterator
-from typing import Protocol
 
 from trimtab.host.autopilot.director import StreamDirector
 from trimtab.host.autopilot.doubt import DOUBT_WORDS, Doubt
 from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, TrimtabError
+from trimtab.host.link.director import Director
 from trimtab.host.link.drivers import DriveStatistics, Interrupts, run_lockstep, run_port
 from trimtab.host.link.flight import FlightDirector
-from trimtab.host.link.flight_request import FlightEnd, FlightRequest
+from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.host_control import STOP_WORDS
 from trimtab.host.link.ports import Cameras, open_port
-from trimtab.host.link.session import Session
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle
 from trimtab.host.log import FAILSAFE_WORDS
@@ -35,19 +34,6 @@ class FlightInterrupted(KeyboardInterrupt):
     def __init__(self, message: str, result: FlightResult) -> None:
         super().__init__(message)
         self.result = result
-
-
-class Director(Protocol):
-    """What flies a request: see `trimtab.host.link.flight.FlightDirector`."""
-
-    session: Session
-    end: FlightEnd | None
-    log_open: bool
-    interrupted: bool
-
-    def interrupt(self) -> None: ...
-    def abandon(self, error: BaseException) -> None: ...
-    def close(self) -> None: ...
 
 
 def _director(request: FlightRequest, on_phase: Callable[[str], None] | None) -> Director:

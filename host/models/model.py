@@ -196,8 +196,8 @@ class Model:
         content: dict[str, Any] = {
             "vehicle_id": self.vehicle_id,
             "vehicle_name": self.vehicle_name,
-            "effects": {name: dict(values) for name, values in self.effects.items()},
-            "adjustments": {name: dict(values) for name, values in self.adjustments.items()},
+            "effects": _floats(self.effects),
+            "adjustments": _floats(self.adjustments),
             "sources": dict(self.sources),
             "data": list(self.data),
         }
@@ -283,3 +283,8 @@ class Model:
 def network_digest(network: Network) -> str:
     """Return the SHA-256 of the weights as little-endian doubles."""
     return hashlib.sha256(network.xi.astype("<f8").tobytes()).hexdigest()
+
+
+def _floats(parameters: Mapping[str, Mapping[str, float]]) -> dict[str, dict[str, float]]:
+    """Return parameters by effect as floats: an integer would be written, and hashed, as another value."""
+    return {name: {key: float(value) for key, value in values.items()} for name, values in parameters.items()}

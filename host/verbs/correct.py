@@ -57,7 +57,7 @@ def command(
     lines = [f"{name}: corrected, {how}" for name, how in named.items()]
     lines += [f"{name}: not corrected, {why}" for name, why in made.uncorrected.items()]
     if adjusted := [name for name in made.corrected if name not in named]:
-        lines.append(f"also corrected, within tolerance: {', '.join(adjusted)}")
+        lines.append(f"also corrected, though not named by a trace: {', '.join(adjusted)}")
     if made.feedforward is None:
         raise GateMissed("; ".join([f"{model}: nothing in it can be corrected on board", *lines]))
     if made.excess is not None:
