@@ -5,12 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from trimtab.host.autopilot.kinds import AutopilotKind
 from trimtab.host.autopilot.situation import Situation
-from trimtab.host.base.errors import UsageError
-from trimtab.host.log.tracking import reference_at
+from trimtab.host.base.errors import Refused
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.messages import mavlink
@@ -19,67 +16,72 @@ START_M = 1.0
 """Greatest horizontal distance from the vehicle on the floor to the first node."""
 POSE_AGE_US = 200_000
 """Greatest age of the newest pose."""
+ESTIMATE_AGE_US = 500_000
+"""Greatest age of the autopilot's position and attitude."""
 STILL_M_S = 0.15
 """Greatest speed of the estimate on the floor."""
 AGREE_M, AGREE_RAD = 0.15, 0.2
 """Greatest difference between the autopilot's estimate and the cameras' pose, on the floor."""
-SILENT_US = 2_500_000
+SILENT_US = 3_500_000
 """Greatest age of the newest heartbeat."""
-SAMPLE_US = 20_000
-_AXES = ("north", "east", "down")
+_AXES = ("north", "east")
 
 
-def check_fence(reference: Reference, vehicle: Vehicle) -> None:
-    """Raise UsageError if the reference leaves the geofence of the vehicle file, or does not start above it.
+def check_limits(reference: Reference, vehicle: Vehicle) -> None:
+    """Raise Refused if the reference breaks a limit of the vehicle file, its geofence included.
 
-    The host keeps this fence. The autopilot may have another one.
+    The host checks this in place of the vehicle: another autopilot does not.
     """
-    t_us = np.arange(0, reference.duration_us + SAMPLE_US, SAMPLE_US)
-    positions = reference_at(reference, t_us)[:, :3]
-    for k, (low, high) in enumerate(vehicle.limits.geofence_m):
-        least, greatest = float(positions[:, k].min()), float(positions[:, k].max())
-        if least < low or greatest > high:
-            raise UsageError(
-                f"the reference leaves the geofence of {vehicle.name}: {_AXES[k]} {least:.2f} to "
-                f"{greatest:.2f} m, limits {low:g} to {high:g}; plan it inside, or give the right --vehicle"
-            )
+    from trimtab.host.plan.judge import on_board_verdict
+
+    verdict = on_board_verdict(reference, vehicle)
+    if not verdict.ok:
+        raise Refused(
+            f"the reference breaks a limit of {vehicle.name}, {verdict.message}; plan it for this vehicle, "
+            "or give the right --vehicle"
+        )
 
 
-def problems(situation: Situation, reference: Reference, vehicle: Vehicle, now_us: int) -> Iterator[str]:
-    """Yield what speaks against arming now, the most basic problem first."""
+def problems(
+    situation: Situation, reference: Reference, vehicle: Vehicle, now_us: int, *, arming: bool = False
+) -> Iterator[str]:
+    """Yield what speaks against arming now, the most basic problem first.
+
+    arming: whether the command to arm may have been sent, so that an armed autopilot is no problem.
+    """
     kind = situation.kind
     if situation.heartbeat_us is None or now_us - situation.heartbeat_us > SILENT_US:
         yield "no heartbeat arrives; check the link"
     if situation.pose_age_us(now_us) > POSE_AGE_US or situation.pose is None:
         yield "no poses arrive from the cameras; check that the body is tracked"
         return
-    if situation.armed:
+    if situation.armed and not arming:
         yield "it is armed already; disarm it"
     if situation.landed not in (None, mavlink.MAV_LANDED_STATE_ON_GROUND, mavlink.MAV_LANDED_STATE_UNDEFINED):
         yield "it does not report that it is on the ground; put it on the floor"
-    yield from _estimate(situation, kind)
+    yield from _estimate(situation, kind, now_us)
     yield from _place(situation, reference, vehicle)
-    if situation.health is not None and not _ready(situation):
+    if situation.health is not None and not situation.armed and not _ready(situation):
         yield "its own pre-arm check fails; see its ground station for the reason"
 
 
-def _estimate(situation: Situation, kind: AutopilotKind) -> Iterator[str]:
+def _estimate(situation: Situation, kind: AutopilotKind, now_us: int) -> Iterator[str]:
     """Yield what is wrong with the autopilot's estimate of its own pose."""
     apart, position = situation.disagreement(), situation.position
-    if apart is None or position is None:
+    if apart is None or position is None or situation.estimate_age_us(now_us) > ESTIMATE_AGE_US:
         yield f"it sends no fresh local position or attitude; {kind.pose_advice}"
         return
-    if not math.isfinite(sum(apart)) or apart[0] > AGREE_M:
+    if not apart[0] <= AGREE_M:
         yield (
             f"its position differs from the cameras' by {1e3 * apart[0]:.0f} mm; {kind.pose_advice}, and "
             "check that the poses are NED and their origin is the autopilot's"
         )
-    elif apart[1] > AGREE_RAD:
+    elif not apart[1] <= AGREE_RAD:
         yield (
             f"its yaw differs from the cameras' by {math.degrees(apart[1]):.0f} deg; {kind.pose_advice}, "
             "and check the axes of the tracked body"
         )
-    elif math.hypot(position.vx, position.vy, position.vz) > STILL_M_S:
+    elif not math.hypot(position.vx, position.vy, position.vz) <= STILL_M_S:
         yield "its estimate moves on the floor; keep it still until the estimate has settled"
 
 
@@ -87,7 +89,7 @@ def _place(situation: Situation, reference: Reference, vehicle: Vehicle) -> Iter
     """Yield what is wrong with the place where the vehicle stands."""
     assert situation.pose is not None
     first, p = reference.nodes_ned()[0].state[:3], situation.pose.p_ned
-    for axis, value, (low, high) in zip(_AXES[:2], p, vehicle.limits.geofence_m, strict=False):
+    for axis, value, (low, high) in zip(_AXES, p, vehicle.limits.geofence_m, strict=False):
         if not low <= value <= high:
             yield f"it stands outside the geofence, {axis} {value:.2f} m ({low:g} to {high:g})"
     apart_m = math.dist(first[:2], p[:2])

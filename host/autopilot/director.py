@@ -7,11 +7,11 @@ acknowledges arming.
 
 from __future__ import annotations
 
-import contextlib
+import math
 from collections.abc import Callable, Generator, Sequence
 from typing import Any
 
-from trimtab.host.autopilot.checks import check_fence
+from trimtab.host.autopilot.checks import check_limits
 from trimtab.host.autopilot.flight import Stage, StreamedFlight
 from trimtab.host.autopilot.recorder import StreamRecorder
 from trimtab.host.autopilot.situation import Situation
@@ -20,10 +20,10 @@ from trimtab.host.autopilot.tasks import (
     ChooseMode,
     Confirm,
     FindAutopilot,
-    Streaming,
+    Guarded,
     confirmation_lines,
 )
-from trimtab.host.base.errors import SESSION_ERRORS, FlightFailed, LinkError, Refused, UsageError
+from trimtab.host.base.errors import FlightFailed, LinkError, Refused
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.director import Director
 from trimtab.host.link.flight import ARM_PATIENCE_US, ON_REQUEST
@@ -39,6 +39,9 @@ from trimtab.protocol.messages import Message, mavlink
 POSE_US = 18_000
 """Least interval of forwarded poses. PX4's filter takes at most 50 a second without trouble."""
 
+ERRORS_MAX = 20
+"""Number of errors of the host during one landing after which it gives up."""
+
 
 class StreamDirector(Director):
     """Flies one request on another autopilot."""
@@ -49,11 +52,7 @@ class StreamDirector(Director):
         on_phase: Callable[[str], None] | None = None,
     ) -> None:
         nodes = request.reference.nodes_ned()
-        if request.reference.free_ends:
-            raise UsageError(
-                f"the reference {request.reference.id} does not start at rest; plan it from rest"
-            )
-        check_fence(request.reference, request.vehicle)
+        check_limits(request.reference, request.vehicle)
         camera = CameraClock(request.camera_delay_us)
         super().__init__(Session(self._script, camera, request.key, forward=self._forward), on_phase)
         kind = request.autopilot
@@ -62,6 +61,7 @@ class StreamDirector(Director):
         self._highest_m = -min(node.state[2] for node in nodes)
         self._situation = Situation(kind)
         self._pose_us: int | None = None
+        self._may_be_armed = False
         self._stream_log: StreamRecorder | None = None
         self._flight = StreamedFlight(
             self._situation,
@@ -73,14 +73,14 @@ class StreamDirector(Director):
 
     def interrupt(self) -> None:
         """End the flight. A flying vehicle lands first; a second call ends the session immediately."""
-        at_once = self.interrupted or self._recorder is None or self._flight.stage is Stage.RELEASED
+        at_once = self.interrupted or not self._may_be_armed or self._flight.stage is Stage.RELEASED
         self.interrupted = True
         self.session.fail(KeyboardInterrupt() if at_once else Interrupted())
 
     # The script.
 
     def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
-        request, situation, flight = self._request, self._situation, self._flight
+        request, situation = self._request, self._situation
         yield FindAutopilot(situation, request.port)
         self._note("checking")
         yield SettleClock()
@@ -91,64 +91,67 @@ class StreamDirector(Director):
             height_m = self._highest_m + (0.0 if situation.pose is None else situation.pose.p_ned[2])
             lines = confirmation_lines(self._kind, request.port, request.vehicle, request.reference, height_m)
             yield Confirm(situation, request.ask, lines)
-            yield AwaitReady(situation, request.reference, request.vehicle)
+            yield AwaitReady(situation, request.reference, request.vehicle, patience_us=0)
         self._note("arming")
-        yield self._streaming(ChooseMode(situation))
-        yield from self._arm()
-        self._open_log(session.now_us)
+        yield self._guarded(ChooseMode(situation), arming=False)
+        return (yield from self._fly(session))
+
+    def _guarded(self, task: Task, *, arming: bool) -> Task:
+        """Return the task with all checks beside it, and with setpoints if the autopilot wants them."""
+        request, streams = self._request, not self._kind.takes_off
+        situation = self._situation
+        return Guarded(task, situation, request.reference, request.vehicle, arming=arming, streams=streams)
+
+    def _fly(self, session: Session) -> Generator[Task, Any, FlightEnd]:
+        """Arm and fly. From here on, `self._flight` sees to it that the vehicle is disarmed at the end."""
+        flight = self._flight
+        self._may_be_armed = True
         failure: Exception | None = None
+        is_armed, errors = False, 0
         while True:
             try:
-                if failure is None and not self.interrupted and self._kind.takes_off:
-                    yield from self._take_off()
+                if failure is None and not self.interrupted and not is_armed:
+                    yield self._arming()
+                    is_armed = True
+                    self._open_log(session.now_us)
                 yield flight
                 break
-            except SESSION_ERRORS:
-                raise
             except Interrupted:
                 self._note(ON_REQUEST)
-            except Exception as error:  # land the vehicle before any error of the host is raised
-                if failure is not None:
+            except Exception as error:  # land the vehicle before any error is raised
+                if failure is not None and isinstance(error, LinkError):
+                    raise failure from error
+                if isinstance(error, LinkError) and is_armed:
+                    raise  # the flight has waited for long
+                errors += 1
+                if errors > ERRORS_MAX:
                     raise
-                failure = error
-                session.listener = None
-                self.log_open = self.log_open and not isinstance(error, LogError)
+                failure = failure or error
+                if isinstance(error, LogError):
+                    session.listener, self.log_open = None, False
                 self._note("landing, the log cannot be written" if isinstance(error, LogError) else "landing")
             flight.land()
         self._note("landed")
+        if isinstance(failure, Refused):
+            raise FlightFailed(str(failure)) from failure
+        if failure is not None:
+            raise failure
+        if not self.log_open:
+            raise KeyboardInterrupt
         self.end = FlightEnd(
             whole=flight.finished and flight.doubt is None and not self.interrupted,
             failsafe=None,
             interrupted=self.interrupted,
             doubt=flight.doubt,
         )
-        if failure is not None:
-            raise failure
         return self.end
 
-    def _streaming(self, task: Task) -> Task:
-        """Return the task, with setpoints beside it if the autopilot wants them before it arms."""
-        return task if self._kind.takes_off else Streaming(task, self._situation)
-
-    def _arm(self) -> Generator[Task, Any, None]:
+    def _arming(self) -> Task:
+        """Return the task that arms. Commands repeat: one that is refused may follow one that was not."""
         command = Command(
             mavlink.MAV_CMD_COMPONENT_ARM_DISARM, (1.0,), what="arm", patience_us=ARM_PATIENCE_US
         )
-        try:
-            yield self._streaming(command)
-        except Refused as error:
-            raise FlightFailed(str(error)) from error
-
-    def _take_off(self) -> Generator[Task, Any, None]:
-        """Let the autopilot climb to the height of the first node. Disarm it if it refuses."""
-        pose = self._situation.pose
-        height_m = -self._request.reference.nodes_ned()[0].state[2] + (0.0 if pose is None else pose.p_ned[2])
-        try:
-            yield Command(mavlink.MAV_CMD_NAV_TAKEOFF, (*(0.0,) * 6, height_m), what="take off")
-        except (LinkError, Refused) as error:
-            with contextlib.suppress(LinkError, Refused):
-                yield Command(mavlink.MAV_CMD_COMPONENT_ARM_DISARM, what="disarm")
-            raise FlightFailed(str(error)) from error
+        return self._guarded(command, arming=True)
 
     def _open_log(self, now_us: int) -> None:
         request = self._request
@@ -174,7 +177,13 @@ class StreamDirector(Director):
     # What happens in flight.
 
     def _forward(self, pose: m.AttPosMocap, host_us: int, vehicle_us: int | None) -> Message | None:
-        """Return VISION_POSITION_ESTIMATE, stamped with the host's clock, which the autopilot compares."""
+        """Return VISION_POSITION_ESTIMATE, stamped with the host's clock, whose offset the autopilot knows.
+
+        Broken poses, and those that follow too soon, are not forwarded.
+        """
+        numbers = (pose.x, pose.y, pose.z, *pose.q)
+        if not all(map(math.isfinite, numbers)) or abs(math.hypot(*pose.q) - 1.0) > 0.01:
+            return None
         seen = self._situation.see(pose, host_us)
         if self._pose_us is not None and host_us - self._pose_us < POSE_US:
             return None

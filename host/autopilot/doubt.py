@@ -14,6 +14,7 @@ class Doubt(StrEnum):
     LEFT_FENCE = "left-fence"
     FAR_OFF = "far-off"
     ESTIMATE_WRONG = "estimate-wrong"
+    NO_TAKEOFF = "no-takeoff"
     START_MISSED = "start-missed"
 
 
@@ -24,6 +25,7 @@ DOUBT_WORDS: dict[Doubt, str] = {
     "took over",
     Doubt.LEFT_FENCE: "the vehicle left the geofence",
     Doubt.FAR_OFF: "the vehicle was too far from the reference",
-    Doubt.ESTIMATE_WRONG: "the autopilot's position and the cameras' were too far apart",
+    Doubt.ESTIMATE_WRONG: "the autopilot's pose and the cameras' were too far apart, or its pose stopped",
+    Doubt.NO_TAKEOFF: "the vehicle did not take off",
     Doubt.START_MISSED: "the vehicle did not reach the start of the reference in time",
 }

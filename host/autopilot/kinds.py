@@ -101,7 +101,8 @@ ARDUPILOT = AutopilotKind(
     set_streamed_mode=(_CUSTOM, 4.0),
     land=(mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 9.0)),
     takes_off=True,
-    pose_advice="set VISO_TYPE to 1 and EK3_SRC1_POSXY, _POSZ and _YAW to 6",
+    pose_advice="set VISO_TYPE to 1, EK3_SRC1_POSXY, _POSZ and _YAW to 6, _VELXY and _VELZ to 0 or 6, and "
+    "the EKF's origin in a ground station",
     modes={
         0: "STABILIZE",
         1: "ACRO",

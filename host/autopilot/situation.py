@@ -39,8 +39,8 @@ class Situation:
         Host time of the newest heartbeat; None before the first.
     position, attitude, health, landed
         Newest LOCAL_POSITION_NED, ATTITUDE, SYS_STATUS, and MAV_LANDED_STATE; None before the first.
-    position_us
-        Host time at which `position` arrived.
+    position_us, attitude_us, heard_us
+        Host time at which `position`, `attitude` and any message in `wants` arrived; None before the first.
     simulated
         True if it says that it is a simulated vehicle of Trimtab, else None: other simulators do not say so.
     pose
@@ -64,13 +64,19 @@ class Situation:
         self.position: m.LocalPositionNed | None = None
         self.position_us: int | None = None
         self.attitude: m.Attitude | None = None
+        self.attitude_us: int | None = None
+        self.heard_us: int | None = None
         self.health: m.SysStatus | None = None
         self.landed: int | None = None
         self.simulated: bool | None = None
         self.pose: Pose | None = None
 
     def receive(self, message: Message, now_us: int) -> None:
-        """Take a message of the autopilot."""
+        """Take a message. Those of other components, and heartbeats of another make, do not count."""
+        is_other = isinstance(message, m.Heartbeat) and message.autopilot != self.kind.number
+        if m.sender_of(message) != m.VEHICLE or is_other:
+            return
+        self.heard_us = now_us
         if isinstance(message, m.Heartbeat):
             self.armed = bool(message.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED)
             self.mode = self.kind.mode(message.custom_mode)
@@ -78,7 +84,7 @@ class Situation:
         elif isinstance(message, m.LocalPositionNed):
             self.position, self.position_us = message, now_us
         elif isinstance(message, m.Attitude):
-            self.attitude = message
+            self.attitude, self.attitude_us = message, now_us
         elif isinstance(message, m.SysStatus):
             self.health = message
         elif isinstance(message, m.ExtendedSysState):
@@ -110,6 +116,12 @@ class Situation:
         """Return the age of the newest pose; infinite before the first."""
         return math.inf if self.pose is None else now_us - self.pose.t_us
 
+    def estimate_age_us(self, now_us: int) -> float:
+        """Return the age of the older of position and attitude; infinite without both."""
+        if self.position_us is None or self.attitude_us is None:
+            return math.inf
+        return now_us - min(self.position_us, self.attitude_us)
+
     def disagreement(self) -> tuple[float, float] | None:
         """Return distance (m) and yaw (rad) between the autopilot's estimate and the newest pose.
 
@@ -124,7 +136,8 @@ class Situation:
             return None
         x, y, z = (p + 1e-6 * later_us * v for p, v in zip(*_motion(position), strict=True))
         distance_m = math.dist((x, y, z), self.pose.p_ned)
-        return distance_m, abs(math.remainder(self.attitude.yaw - self.pose.yaw, 2.0 * math.pi))
+        turn = self.attitude.yaw - self.pose.yaw
+        return distance_m, abs(math.remainder(turn, 2.0 * math.pi)) if math.isfinite(turn) else math.inf
 
 
 def _motion(position: m.LocalPositionNed) -> tuple[tuple[float, ...], tuple[float, ...]]:

@@ -79,19 +79,30 @@ class AwaitReady(Task):
     """Wait until nothing speaks against arming for READY_US. Raises Refused with the problem if that fails.
 
     Meanwhile asks for the messages that the flight needs.
+
+    Parameters
+    ----------
+    patience_us
+        Longest wait. 0: the first problem refuses.
     """
 
     CHECK_US = 50_000
     wants = Situation.wants
 
-    def __init__(self, situation: Situation, reference: Reference, vehicle: Vehicle) -> None:
+    def __init__(
+        self,
+        situation: Situation,
+        reference: Reference,
+        vehicle: Vehicle,
+        patience_us: int = READY_MAX_US,
+    ) -> None:
         super().__init__()
         self._situation, self._reference, self._vehicle = situation, reference, vehicle
+        self._patience_us = patience_us
 
     def begin(self, client: Client, now_us: int) -> None:
-        self._end_us = now_us + READY_MAX_US
+        self._end_us = now_us + self._patience_us
         self._ask_us = self.deadline_us = self._problem_us = now_us
-        self._problem = ""
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
         self._situation.receive(message, now_us)
@@ -99,12 +110,12 @@ class AwaitReady(Task):
     def advance(self, client: Client, now_us: int) -> None:
         problem = next(problems(self._situation, self._reference, self._vehicle, now_us), None)
         if problem is not None:
-            self._problem, self._problem_us = problem, now_us
+            self._problem_us = now_us
         if now_us - self._problem_us >= READY_US:
             self.finish()
             return
-        if now_us >= self._end_us:
-            raise Refused(f"not armed: {self._problem}")
+        if problem is not None and now_us >= self._end_us:
+            raise Refused(f"not armed: {problem}")
         if now_us >= self._ask_us:
             self._ask_us = now_us + ASK_US
             for number, interval_us in INTERVALS_US.items():
@@ -144,7 +155,7 @@ class Confirm(Task):
 class ChooseMode(Task):
     """Choose the mode in which the autopilot follows setpoints. Raises Refused if it does not take it.
 
-    For an autopilot that climbs by setpoints, run this within `Streaming`.
+    For an autopilot that climbs by setpoints, run this within `Guarded`.
     """
 
     wants = (*Situation.wants, m.CommandAck)
@@ -180,33 +191,69 @@ class ChooseMode(Task):
         self.deadline_us = min(now_us + RETRY_US, self._end_us)
 
 
-class Streaming(Task):
-    """Another task, while setpoints hold the present pose."""
+class Guarded(Task):
+    """Another task before or while the autopilot is armed, with all checks going on.
 
-    def __init__(self, inner: Task, situation: Situation) -> None:
+    Raises Refused on the first problem, or if the autopilot goes to a mode that the host did not choose: a
+    pilot has it.
+
+    Parameters
+    ----------
+    arming
+        Whether the inner task arms. The autopilot must then be in the mode that follows setpoints, and the
+        task also ends when a heartbeat says that it is armed.
+    streams
+        Whether to stream setpoints that hold the present pose.
+    """
+
+    def __init__(
+        self,
+        inner: Task,
+        situation: Situation,
+        reference: Reference,
+        vehicle: Vehicle,
+        *,
+        arming: bool,
+        streams: bool,
+    ) -> None:
         super().__init__()
         self.wants = (*{*inner.wants, *Situation.wants},)
         self._inner, self._situation = inner, situation
+        self._reference, self._vehicle = reference, vehicle
+        self._arming, self._streams = arming, streams
 
     def begin(self, client: Client, now_us: int) -> None:
         pose = self._situation.pose
         assert pose is not None  # a check before this
         self._target = Setpoint(pose.p_ned, yaw=pose.yaw)
         self._next_us = now_us
+        self._modes = {self._situation.kind.streamed_mode}
+        if not self._arming and self._situation.mode is not None:
+            self._modes.add(self._situation.mode)
         self._inner.begin(client, now_us)
         self._follow()
 
     def receive(self, client: Client, message: Message, now_us: int) -> None:
         if isinstance(message, Situation.wants):
             self._situation.receive(message, now_us)
+            if self._situation.mode not in self._modes:
+                raise Refused(f"not armed: the autopilot went to {self._situation.mode_name()}")
+        if self._arming and self._situation.armed:  # the acknowledgement may be lost
+            self.finish()
+            return
         if isinstance(message, self._inner.wants):
             self._inner.receive(client, message, now_us)
         self._follow()
 
     def advance(self, client: Client, now_us: int) -> None:
+        situation = self._situation
+        found = problems(situation, self._reference, self._vehicle, now_us, arming=self._arming)
+        if (problem := next(found, None)) is not None:
+            raise Refused(f"not armed: {problem}")
         if now_us >= self._next_us:
             self._next_us = now_us + SETPOINT_US
-            client.send(self._target.message(now_us))
+            if self._streams:
+                client.send(self._target.message(now_us))
         if now_us >= self._inner.deadline_us:
             self._inner.advance(client, now_us)
         self._follow()

@@ -64,7 +64,11 @@ class Director(ABC):
             self._log.close()
 
     def _note(self, phase: str) -> None:
+        """Show a new phase. An observer that fails is not called again: a flight goes on without it."""
         if phase != self.phase:
             self.phase = phase
             if self._on_phase is not None:
-                self._on_phase(phase)
+                try:
+                    self._on_phase(phase)
+                except Exception:
+                    self._on_phase = None

@@ -140,7 +140,7 @@ def _conclude(director: Director, request: FlightRequest, driven: DriveStatistic
             result,
         )
     if end.doubt is not None:
-        landed = "" if end.doubt is Doubt.LEFT_MODE else "; the vehicle has landed"
+        landed = "" if end.doubt is Doubt.LEFT_MODE else "; the vehicle is disarmed"
         raise FlightEnded(f"{DOUBT_WORDS[end.doubt]}{landed}; its log is {request.log_path}", result)
     if not end.whole:
         raise FlightEnded(f"the flight ended before its reference did; its log is {request.log_path}", result)
@@ -158,7 +158,8 @@ def _how_interrupted(director: Director, request: FlightRequest) -> str:
     log = f"its log is {request.log_path}"
     if director.end is not None:
         return f"the vehicle has landed; {log}"
-    return f"the vehicle is left to its failsafe; {log}" if director.interrupted else log
+    left_to = "its failsafe" if request.autopilot is None else "its autopilot"
+    return f"the vehicle is left to {left_to}; {log}" if director.interrupted else log
 
 
 def _with_log(error: TrimtabError, director: Director, request: FlightRequest) -> TrimtabError:

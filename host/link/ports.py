@@ -148,14 +148,15 @@ class _UdpPort:
 
     def read(self) -> bytes:
         data = bytearray()
-        # If the peer does not listen yet, a later read reports the refused datagram.
-        with contextlib.suppress(BlockingIOError, ConnectionError):
+        # If the peer does not listen yet, a later read reports the refused datagram. A network that is down
+        # for a while must not end a flight: silence is noticed.
+        with contextlib.suppress(OSError):
             while len(data) < READ_BYTES:
                 data += self._socket.recv(READ_BYTES)
         return bytes(data)
 
     def write(self, data: bytes) -> None:
-        with contextlib.suppress(BlockingIOError, ConnectionError):
+        with contextlib.suppress(OSError):
             self._socket.send(data)
 
     def close(self) -> None:

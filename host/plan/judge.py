@@ -27,6 +27,20 @@ from trimtab.host.vehicle import Limits, Vehicle, to_parameters
 from trimtab.protocol.blobs import Reference, YawNode
 
 
+def on_board_verdict(reference: Reference, vehicle: Vehicle) -> ReferenceVerdict:
+    """Return the verdict that a Trimtab vehicle of this file would give on a reference."""
+    airframe, limits = _on_board(vehicle)
+    return check_reference(
+        reference.nodes,
+        reference.yaw_nodes(),
+        airframe,
+        limits,
+        origin=reference.origin_ned,
+        ends_at_rest=True,
+        evaluator=ALL_AT_ONCE,
+    )
+
+
 @dataclass(frozen=True, kw_only=True)
 class Judged:
     """A reference, the table as flown, and whether it may be flown. margins: least distance to each limit."""

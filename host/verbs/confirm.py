@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import sys
 import threading
 from collections.abc import Callable
@@ -16,6 +17,10 @@ def ask_at_terminal(lines: tuple[str, ...]) -> Callable[[], bool | None]:
     line than `yes`, and the end of stdin, are a no.
     """
     answers: list[bool] = []
+    with contextlib.suppress(ImportError, OSError, ValueError):  # a line typed earlier is no answer
+        import termios
+
+        termios.tcflush(sys.stdin, termios.TCIFLUSH)
 
     def wait() -> None:
         answers.append(sys.stdin.readline().strip().lower() == YES)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,7 +15,7 @@ from trimtab.host.base.errors import FlightFailed, LinkError, Refused, TrimtabEr
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
 from trimtab.host.link.summary import FlightResult
-from trimtab.host.log import read_flight
+from trimtab.host.log import LogError, read_flight
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
@@ -192,6 +191,20 @@ def test_same_seed_same_bytes(stream: Any, tmp_path: Path) -> None:
     assert logs[0].read_bytes() == logs[1].read_bytes()
 
 
+def remembered(monkeypatch: pytest.MonkeyPatch) -> list[Any]:
+    """The directors that are made from now on."""
+    import trimtab.host.link.fly as flying
+
+    made, directors = flying.StreamDirector, []
+
+    def remember(*arguments: Any) -> Any:
+        directors.append(made(*arguments))
+        return directors[-1]
+
+    monkeypatch.setattr(flying, "StreamDirector", remember)
+    return directors
+
+
 # Doubts in flight: all end on the floor, and the log is whole.
 
 
@@ -273,26 +286,15 @@ def test_geofence_lands_the_vehicle(stream: Any, vehicle: Vehicle) -> None:
     )
 
 
-def test_interrupt_lands_first(stream: Any) -> None:
-    director: list[Any] = []
-
+def test_interrupt_lands_first(stream: Any, monkeypatch: pytest.MonkeyPatch) -> None:
     def up(message: Message, now_us: int) -> Message:
-        if now_us > 14_000_000 and director:
-            director.pop().interrupt()
+        while now_us > 14_000_000 and directors:
+            directors.pop().interrupt()
         return message
 
-    import trimtab.host.link.fly as flying
-
-    made = flying.StreamDirector
-
-    def remember(*arguments: Any) -> Any:
-        director.append(made(*arguments))
-        return director[-1]
-
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(flying, "StreamDirector", remember)
-        with pytest.raises(FlightInterrupted, match="the vehicle has landed") as caught:
-            stream(filters={"up": up})
+    directors = remembered(monkeypatch)
+    with pytest.raises(FlightInterrupted, match="the vehicle has landed") as caught:
+        stream(filters={"up": up})
     on_the_floor(caught.value.result)
 
 
@@ -399,16 +401,177 @@ def test_own_vehicle_needs_no_autopilot(
     assert not list(tmp_path.iterdir())
 
 
-def test_reference_outside_the_fence_is_refused(
+def test_reference_beyond_a_limit_is_refused(
     stream: Any, vehicle: Vehicle, figure_eight: Callable[..., Reference]
 ) -> None:
-    refused(
-        stream,
-        UsageError,
-        "leaves the geofence of research: north",
-        reference=figure_eight(vehicle, size_m=20.0),
+    """The vehicle's own firmware would refuse it. Another autopilot flies what it gets."""
+    for wild, words in (
+        (figure_eight(vehicle, size_m=20.0), "node 8 at"),
+        (figure_eight(vehicle, duration_s=4.5), "body rate"),
+    ):
+        refused(stream, Refused, f"breaks a limit of research, .*{words}", reference=wild)
+
+
+# From the command to arm on: the vehicle is disarmed at the end, whatever happens.
+
+
+def is_command(message: Message, number: int) -> bool:
+    return isinstance(message, m.CommandLong) and message.command == number
+
+
+def is_ack(message: Message, number: int) -> bool:
+    return isinstance(message, m.CommandAck) and message.command == number
+
+
+def disarmed(stream: Any) -> None:
+    """The last heartbeat says that the autopilot is disarmed, and one before that it was armed."""
+    line = line_of(stream)
+    assert line.armed
+    last = [each for each in line.heard if isinstance(each, m.Heartbeat)][-1]
+    assert not last.base_mode & mavlink.MAV_MODE_FLAG_SAFETY_ARMED
+
+
+@pytest.mark.parametrize("kind", KINDS.values(), ids=KINDS)
+def test_acknowledgement_of_arming_that_is_lost(stream: Any, kind: AutopilotKind) -> None:
+    lost = {
+        "down": lambda message, now_us: (
+            None if is_ack(message, mavlink.MAV_CMD_COMPONENT_ARM_DISARM) else message
+        )
+    }
+    result, _ = stream(kind, filters=lost)
+    assert result.end is not None
+    assert result.end.whole  # the heartbeat says it too
+
+
+def test_interrupt_while_arming(stream: Any, monkeypatch: pytest.MonkeyPatch) -> None:
+    def down(message: Message, now_us: int) -> Message | None:
+        if is_ack(message, mavlink.MAV_CMD_COMPONENT_ARM_DISARM):
+            while directors:
+                directors.pop().interrupt()
+            return None
+        return message
+
+    directors = remembered(monkeypatch)
+    with pytest.raises(KeyboardInterrupt):
+        stream(filters={"down": down})
+    disarmed(stream)
+
+
+def test_log_that_cannot_be_opened(stream: Any, tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="cannot be written"):
+        stream(log_path=tmp_path / "missing" / "x.mcap")
+    disarmed(stream)
+
+
+def test_pilot_who_changes_the_mode_before_arming_is_obeyed(stream: Any) -> None:
+    def down(message: Message, now_us: int) -> Message:
+        if isinstance(message, m.Heartbeat) and line_of(stream).commands(mavlink.MAV_CMD_DO_SET_MODE):
+            message.custom_mode = 3 << 16  # POSCTL
+        return message
+
+    refused(stream, Refused, "went to POSCTL", filters={"down": down})
+    assert not line_of(stream).commands(mavlink.MAV_CMD_COMPONENT_ARM_DISARM)
+
+
+def test_problem_after_the_confirmation_refuses(stream: Any) -> None:
+    asked: list[int] = []
+
+    def ask(lines: Sequence[str]) -> Callable[[], bool]:
+        asked.append(1)
+        return lambda: True
+
+    def down(message: Message, now_us: int) -> Message:
+        if isinstance(message, m.LocalPositionNed) and asked:  # somebody moves the vehicle
+            message.vx = 0.5
+        return message
+
+    refused(stream, Refused, "its estimate moves on the floor", filters={"down": down}, ask=ask)
+
+
+def test_copies_of_a_take_off_are_refused_by_a_climbing_vehicle(stream: Any) -> None:
+    """ArduPilot answers FAILED to a second command once it has left the floor; the first answer was lost."""
+
+    def down(message: Message, now_us: int) -> Message:
+        if is_ack(message, mavlink.MAV_CMD_NAV_TAKEOFF):
+            message.result = mavlink.MAV_RESULT_FAILED  # type: ignore[attr-defined]
+        return message
+
+    result, _ = stream(ARDUPILOT, filters={"down": down})
+    assert result.end is not None
+    assert result.end.whole
+
+
+def test_take_off_that_does_not_happen_disarms(stream: Any) -> None:
+    dropped = {
+        "up": lambda message, now_us: None if is_command(message, mavlink.MAV_CMD_NAV_TAKEOFF) else message
+    }
+    ended(stream, Doubt.NO_TAKEOFF, kind=ARDUPILOT, filters=dropped)
+    disarmed(stream)
+    assert len(line_of(stream).commands(mavlink.MAV_CMD_NAV_TAKEOFF)) > 5
+
+
+def test_heartbeats_that_stop_land_the_vehicle(stream: Any) -> None:
+    def down(message: Message, now_us: int) -> Message | None:
+        silent = 14_000_000 < now_us < 22_000_000
+        return None if silent and isinstance(message, m.Heartbeat) else message
+
+    on_the_floor(ended(stream, Doubt.LINK_SILENT, filters={"down": down}))
+
+
+def test_silent_autopilot_gets_few_commands(stream: Any) -> None:
+    """A pilot may have it; then the host must not take it back."""
+    silent = range(14_000_000, 24_000_000)
+    filters = {"down": lambda message, now_us: None if now_us in silent else message}
+    ended(stream, Doubt.LINK_SILENT, filters=filters)
+    assert len(line_of(stream).commands(mavlink.MAV_CMD_DO_SET_MODE)) < 20
+
+
+def test_landing_is_not_repeated_once_it_is_acknowledged(stream: Any) -> None:
+    _, line = stream()
+    landings = [each for each in line.commands(mavlink.MAV_CMD_DO_SET_MODE) if each.param2 == 4.0]  # type: ignore[attr-defined]
+    assert len(landings) == 1
+
+
+def test_yaw_that_goes_astray_lands_the_vehicle(stream: Any) -> None:
+    def down(message: Message, now_us: int) -> Message:
+        if isinstance(message, m.Attitude) and now_us > 14_000_000:
+            message.yaw += math.radians(60.0)
+        return message
+
+    on_the_floor(ended(stream, Doubt.ESTIMATE_WRONG, filters={"down": down}))
+
+
+def test_estimate_that_stops_lands_the_vehicle(stream: Any) -> None:
+    def down(message: Message, now_us: int) -> Message | None:
+        return None if isinstance(message, m.LocalPositionNed) and now_us > 14_000_000 else message
+
+    on_the_floor(ended(stream, Doubt.ESTIMATE_WRONG, filters={"down": down}))
+
+
+def test_broken_poses_are_not_forwarded(stream: Any, reference: Reference, vehicle: Vehicle) -> None:
+    from trimtab.host.autopilot.director import StreamDirector
+
+    director = StreamDirector(
+        FlightRequest(vehicle=vehicle, reference=reference, log_path=Path("x"), autopilot=PX4)
     )
+    forward = director._forward
+    good = m.AttPosMocap(0, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
+    assert forward(good, 0, None) is not None
+    for k, broken in enumerate(
+        (
+            m.AttPosMocap(0, [math.nan, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0),
+            m.AttPosMocap(0, [0.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0),
+            m.AttPosMocap(0, [1.0, 0.0, 0.0, 0.0], math.inf, 0.0, 0.0),
+        )
+    ):
+        assert forward(broken, 1_000_000 * (k + 1), None) is None
+    assert forward(good, 10_000_000, None) is not None
 
 
-def test_reference_in_motion_at_its_start_is_refused(stream: Any, reference: Reference) -> None:
-    refused(stream, UsageError, "does not start at rest", reference=replace(reference, free_ends=True))
+def test_observer_that_fails_does_not_end_the_flight(stream: Any) -> None:
+    def on_phase(phase: str) -> None:
+        raise RuntimeError(phase)
+
+    result, _ = stream(on_phase=on_phase)
+    assert result.end is not None
+    assert result.end.whole
