@@ -58,6 +58,8 @@ FAR_M = 1.0
 """Distance between pose and reference above which the host lands the vehicle."""
 APART_M, APART_RAD = 0.5, 0.5
 """Distance and yaw between the autopilot's estimate and the pose above which the host lands the vehicle."""
+APART_US = 200_000
+"""Time for which they must be apart."""
 ESTIMATE_AGE_US = 2_000_000
 """Age of that estimate above which the host lands the vehicle."""
 FENCE_M = 0.3
@@ -130,6 +132,7 @@ class StreamedFlight(Task):
         self._landed_us: int | None = None  # the landing was acknowledged
         self._takeoff_acked = False
         self._rest_us: int | None = None
+        self._apart_us: int | None = None
 
     def land(self) -> None:
         """Land, unless a pilot or a failsafe has the vehicle."""
@@ -274,7 +277,6 @@ class StreamedFlight(Task):
         """End the flight on the first doubt."""
         situation, pose = self._situation, self._situation.pose
         beat_us = max(self._began_us, situation.heartbeat_us or 0)
-        apart = situation.disagreement()
         if not situation.streamed:
             self._end(Doubt.LEFT_MODE)
         elif pose is None or situation.pose_age_us(now_us) > POSES_MAX_US:
@@ -288,10 +290,20 @@ class StreamedFlight(Task):
             self._end(Doubt.LEFT_FENCE)
         elif math.dist(pose.p_ned, self._expected(pose.t_us)) > FAR_M:
             self._end(Doubt.FAR_OFF)
-        elif situation.estimate_age_us(now_us) > ESTIMATE_AGE_US or (
-            apart is not None and not (apart[0] <= APART_M and apart[1] <= APART_RAD)
-        ):
+        elif situation.estimate_age_us(now_us) > ESTIMATE_AGE_US or self._is_apart(now_us):
             self._end(Doubt.ESTIMATE_WRONG)
+
+    def _is_apart(self, now_us: int) -> bool:
+        """Return whether estimate and poses have been apart for APART_US: a late message is no doubt."""
+        apart = self._situation.disagreement()
+        if apart is None:
+            return False
+        if apart[0] <= APART_M and apart[1] <= APART_RAD:
+            self._apart_us = None
+            return False
+        if self._apart_us is None:
+            self._apart_us = now_us
+        return now_us - self._apart_us >= APART_US
 
     def _expected(self, t_us: int) -> Vector:
         """Return where the vehicle should be at the host's time `t_us`."""

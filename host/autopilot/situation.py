@@ -125,18 +125,22 @@ class Situation:
     def disagreement(self) -> tuple[float, float] | None:
         """Return distance (m) and yaw (rad) between the autopilot's estimate and the newest pose.
 
-        The position is moved on to the time of the pose by its velocity. None without both, or if the
-        position is older than the pose by more than FRESH_US.
+        Position and yaw are moved on to the time of the pose by their rates. None without both, or if either
+        is older than the pose by more than FRESH_US.
         """
-        position, arrived_us = self.position, self.position_us
-        if self.pose is None or position is None or arrived_us is None or self.attitude is None:
+        position, attitude = self.position, self.attitude
+        position_us, attitude_us = self.position_us, self.attitude_us
+        if self.pose is None or position is None or attitude is None:
             return None
-        later_us = self.pose.t_us - arrived_us
-        if later_us > FRESH_US:
+        assert position_us is not None
+        assert attitude_us is not None
+        if self.pose.t_us - min(position_us, attitude_us) > FRESH_US:
             return None
-        x, y, z = (p + 1e-6 * later_us * v for p, v in zip(*_motion(position), strict=True))
+        later_s = 1e-6 * (self.pose.t_us - position_us)
+        x, y, z = (p + later_s * v for p, v in zip(*_motion(position), strict=True))
         distance_m = math.dist((x, y, z), self.pose.p_ned)
-        turn = self.attitude.yaw - self.pose.yaw
+        yaw = attitude.yaw + 1e-6 * (self.pose.t_us - attitude_us) * attitude.yawspeed
+        turn = yaw - self.pose.yaw
         return distance_m, abs(math.remainder(turn, 2.0 * math.pi)) if math.isfinite(turn) else math.inf
 
 
