@@ -131,6 +131,7 @@ class StreamedFlight(Task):
         self._began_us = self._start_us = self._next_us = self._command_us = 0
         self._landed_us: int | None = None  # the landing was acknowledged
         self._takeoff_acked = False
+        self._landings = 0
         self._rest_us: int | None = None
         self._apart_us: int | None = None
 
@@ -179,7 +180,7 @@ class StreamedFlight(Task):
             return
         if message.command == mavlink.MAV_CMD_NAV_TAKEOFF:
             self._takeoff_acked = True
-        elif message.command == self._situation.kind.land[0] and self.stage is Stage.LANDING:
+        elif self.stage is Stage.LANDING and any(message.command == n for n, _ in self._situation.kind.land):
             self._landed_us = now_us
 
     def advance(self, client: Client, now_us: int) -> None:
@@ -366,7 +367,8 @@ class StreamedFlight(Task):
         self._command_us = now_us + RETRY_US
         if situation.streamed:
             self._landed_us = None
-            number, parameters = situation.kind.land
+            number, parameters = situation.kind.land[self._landings % len(situation.kind.land)]
+            self._landings += 1
             client.send(command_message(number, parameters))
         if on_floor and situation.armed:
             client.send(command_message(mavlink.MAV_CMD_COMPONENT_ARM_DISARM))

@@ -30,7 +30,7 @@ class AutopilotKind:
     set_streamed_mode
         Parameters of MAV_CMD_DO_SET_MODE for the mode in which it follows setpoints.
     land
-        Command and parameters that land it.
+        Commands that land it, each with its parameters. They are sent in turn until one is accepted.
     takes_off
         Whether it needs MAV_CMD_NAV_TAKEOFF before it follows setpoints.
     pose_advice
@@ -46,7 +46,7 @@ class AutopilotKind:
     land_mode: int
     mode_mask: int
     set_streamed_mode: tuple[float, ...]
-    land: tuple[int, tuple[float, ...]]
+    land: tuple[tuple[int, tuple[float, ...]], ...]
     takes_off: bool
     pose_advice: str
     modes: dict[int, str]
@@ -73,7 +73,7 @@ PX4 = AutopilotKind(
     land_mode=_px4(4, 6),
     mode_mask=0xFFFF_0000,
     set_streamed_mode=(_CUSTOM, 6.0),
-    land=(mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 4.0, 6.0)),
+    land=((mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 4.0, 6.0)), (mavlink.MAV_CMD_NAV_LAND, ())),
     takes_off=False,
     pose_advice="set EKF2_EV_CTRL to take position and yaw, and EKF2_HGT_REF to vision",
     modes={
@@ -99,7 +99,7 @@ ARDUPILOT = AutopilotKind(
     land_mode=9,
     mode_mask=0xFFFF_FFFF,
     set_streamed_mode=(_CUSTOM, 4.0),
-    land=(mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 9.0)),
+    land=((mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 9.0)), (mavlink.MAV_CMD_NAV_LAND, ())),
     takes_off=True,
     pose_advice="set VISO_TYPE to 1, EK3_SRC1_POSXY, _POSZ and _YAW to 6, _VELXY and _VELZ to 0 or 6, and "
     "the EKF's origin in a ground station",

@@ -532,6 +532,21 @@ def test_landing_is_not_repeated_once_it_is_acknowledged(stream: Any) -> None:
     assert len(landings) == 1
 
 
+def test_landing_mode_that_is_refused_is_followed_by_the_command_to_land(stream: Any) -> None:
+    def up(message: Message, now_us: int) -> Message | None:
+        if is_command(message, mavlink.MAV_CMD_DO_SET_MODE) and message.param2 == 4.0:  # type: ignore[attr-defined]
+            line_of(stream).answers.append(
+                m.CommandAck(mavlink.MAV_CMD_DO_SET_MODE, mavlink.MAV_RESULT_DENIED, 0, 0, *m.HOST)
+            )
+            return None
+        return message
+
+    result, line = stream(filters={"up": up})
+    assert result.end is not None
+    assert result.end.whole
+    assert len(line.commands(mavlink.MAV_CMD_NAV_LAND)) == 1
+
+
 def test_yaw_that_goes_astray_lands_the_vehicle(stream: Any) -> None:
     def down(message: Message, now_us: int) -> Message:
         if isinstance(message, m.Attitude) and now_us > 14_000_000:
