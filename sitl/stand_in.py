@@ -221,7 +221,8 @@ class StandIn:
         if isinstance(message, m.Heartbeat):
             return self._heartbeat(message)
         of_mode = isinstance(message, m.CommandAck) and message.command == mavlink.MAV_CMD_DO_SET_MODE
-        return None if of_mode and self._chosen else message  # then the stand-in asked by itself
+        asks = self._chosen and self._state != mavlink.TRIMTAB_STATE_OFFBOARD  # by itself, not the host
+        return None if of_mode and asks else message
 
     def _heartbeat(self, message: m.Heartbeat) -> Message:
         """Return the heartbeat as this make sends it."""

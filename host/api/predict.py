@@ -56,14 +56,11 @@ def predict(
         known; if it has a network and a log lacks what the network needs.
     """
     from trimtab.host.api.load import load_effects
-    from trimtab.host.base.errors import UsageError
     from trimtab.host.compare.prediction import predict as errors_of
     from trimtab.host.models.accepted import accepted_model
 
-    if not flights:
-        raise UsageError("no flight to predict; give one or more")
     chosen = None
-    if model is not None:
+    if model is not None and flights:
         chosen = accepted_model(model, accept_undecided, vehicle_id=flights[0].vehicle.id)
     effects = load_effects(workspace) if effects is None else effects
     return errors_of(chosen, flights, effects, jobs=jobs)

@@ -22,9 +22,8 @@ class AutopilotKind:
         Name of the make in messages.
     number
         MAV_AUTOPILOT of its heartbeat.
-    streamed_mode, land_mode
-        HEARTBEAT.custom_mode of the mode in which it follows setpoints, and of a landing, both masked with
-        `mode_mask`.
+    streamed_mode
+        HEARTBEAT.custom_mode of the mode in which it follows setpoints, masked with `mode_mask`.
     mode_mask
         Bits of custom_mode that name the mode.
     set_streamed_mode
@@ -43,7 +42,6 @@ class AutopilotKind:
     title: str
     number: int
     streamed_mode: int
-    land_mode: int
     mode_mask: int
     set_streamed_mode: tuple[float, ...]
     land: tuple[tuple[int, tuple[float, ...]], ...]
@@ -70,7 +68,6 @@ PX4 = AutopilotKind(
     title="PX4",
     number=mavlink.MAV_AUTOPILOT_PX4,
     streamed_mode=_px4(6),
-    land_mode=_px4(4, 6),
     mode_mask=0xFFFF_0000,
     set_streamed_mode=(_CUSTOM, 6.0),
     land=((mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 4.0, 6.0)), (mavlink.MAV_CMD_NAV_LAND, ())),
@@ -96,7 +93,6 @@ ARDUPILOT = AutopilotKind(
     title="ArduPilot",
     number=mavlink.MAV_AUTOPILOT_ARDUPILOTMEGA,
     streamed_mode=4,
-    land_mode=9,
     mode_mask=0xFFFF_FFFF,
     set_streamed_mode=(_CUSTOM, 4.0),
     land=((mavlink.MAV_CMD_DO_SET_MODE, (_CUSTOM, 9.0)), (mavlink.MAV_CMD_NAV_LAND, ())),

@@ -103,11 +103,6 @@ class Situation:
         """Whether the autopilot is in the mode in which it follows setpoints."""
         return self.mode == self.kind.streamed_mode
 
-    @property
-    def landing(self) -> bool:
-        """Whether the autopilot is in its landing mode."""
-        return self.mode == self.kind.land_mode
-
     def mode_name(self) -> str:
         """Return the name of the mode for messages."""
         return "no mode" if self.mode is None else self.kind.mode_name(self.mode)

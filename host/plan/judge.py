@@ -28,15 +28,20 @@ from trimtab.protocol.blobs import Reference, YawNode
 
 
 def on_board_verdict(reference: Reference, vehicle: Vehicle) -> ReferenceVerdict:
-    """Return the verdict that a Trimtab vehicle of this file would give on a reference."""
-    airframe, limits = _on_board(vehicle)
+    """Return the verdict that a Trimtab vehicle of this file would give on a reference from rest to rest."""
+    return _verdict(reference, *_on_board(vehicle), ends_at_rest=True)
+
+
+def _verdict(
+    reference: Reference, airframe: Airframe, limits: CheckedLimits, *, ends_at_rest: bool
+) -> ReferenceVerdict:
     return check_reference(
         reference.nodes,
         reference.yaw_nodes(),
         airframe,
         limits,
         origin=reference.origin_ned,
-        ends_at_rest=True,
+        ends_at_rest=ends_at_rest,
         evaluator=ALL_AT_ONCE,
     )
 
@@ -102,15 +107,7 @@ def judge(
     """
     reference = to_reference(table, yaws, vehicle.id)
     airframe, on_board = _on_board(vehicle)
-    verdict = check_reference(
-        reference.nodes,
-        reference.yaw_nodes(),
-        airframe,
-        checked(limits, on_board),
-        origin=reference.origin_ned,
-        ends_at_rest=not reference.free_ends,
-        evaluator=ALL_AT_ONCE,
-    )
+    verdict = _verdict(reference, airframe, checked(limits, on_board), ends_at_rest=not reference.free_ends)
     flown = from_reference(reference)
     margins, ok, message = dict(verdict.margins), verdict.ok, verdict.message
     more_margins: list[tuple[str, float, str]] = []

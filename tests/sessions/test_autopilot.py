@@ -530,6 +530,7 @@ def test_landing_is_not_repeated_once_it_is_acknowledged(stream: Any) -> None:
     _, line = stream()
     landings = [each for each in line.commands(mavlink.MAV_CMD_DO_SET_MODE) if each.param2 == 4.0]  # type: ignore[attr-defined]
     assert len(landings) == 1
+    assert not line.commands(mavlink.MAV_CMD_NAV_LAND)
 
 
 def test_landing_mode_that_is_refused_is_followed_by_the_command_to_land(stream: Any) -> None:
