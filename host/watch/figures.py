@@ -70,7 +70,8 @@ class Figures:
             "time_s": self._time_us * 1e-6,
             "phase": None if status is None else flight_pb2.Status.State.Name(status.state).lower(),
             "failsafe": None if status is None else failsafe_name(status.failsafe),
-            "pose_age_ms": None if estimate is None else estimate.mocap_age_us * 1e-3,
+            # 0: not known, of another autopilot
+            "pose_age_ms": None if estimate is None else estimate.mocap_age_us * 1e-3 or None,
             "error_m": self._error_m,
             "error_max_m": self._error_max_m,
             "battery_v": None if status is None else status.battery_v,
