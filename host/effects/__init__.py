@@ -7,7 +7,7 @@ about a single effect are only in its file; all other code reads them there.
 
 from trimtab.host.effects.effect import SLOTS, Closing, Context, Effect, ExactAlias
 from trimtab.host.effects.feedforward import compose_feedforward
-from trimtab.host.effects.parameter import Parameter, number
+from trimtab.host.effects.parameter import Parameter, form, number
 from trimtab.host.effects.registry import EffectError, load_effects
 
 __all__ = [
@@ -19,6 +19,7 @@ __all__ = [
     "ExactAlias",
     "Parameter",
     "compose_feedforward",
+    "form",
     "load_effects",
     "number",
 ]

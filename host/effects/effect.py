@@ -19,6 +19,7 @@ from trimtab.host.effects.unknowns import UNKNOWN
 
 Scalar = Any
 Theta = Sequence[Scalar]
+_FLOOR = 1e-9  # keeps the derivative of the square root finite at zero thrust
 _NAME = re.compile(r"[a-z][a-z0-9]*(-[a-z0-9]+)*")
 
 Family = Literal["force", "torque", "timing", "aerodynamic"]
@@ -59,6 +60,8 @@ class Context(NamedTuple):
         Principal moments of inertia (3,) in the vehicle file.
     hover_n
         Thrust of one rotor at hover.
+    torque_per_thrust_m
+        Drag torque of a rotor over its thrust.
     memory
         States that the effect adds; empty if it adds none.
     """
@@ -77,7 +80,12 @@ class Context(NamedTuple):
     spin_signs: Sequence[float]
     inertia_kg_m2: Sequence[float]
     hover_n: float
+    torque_per_thrust_m: float = 0.0
     memory: Sequence[Scalar] = ()
+
+    def excess_speed(self, ops: Ops) -> Scalar:
+        """Return the rotor speed over that at hover, minus 1, from the collective thrust."""
+        return ops.sqrt(ops.maximum(self.collective_n, 0.0) / (4.0 * self.hover_n) + _FLOOR) - 1.0
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -250,6 +258,9 @@ class Effect:
             raise ValueError(f"effect {self.name}: no parameters")
         if len(set(self.keys)) != len(self.keys):
             raise ValueError(f"effect {self.name}: duplicate parameter keys: {self.keys}")
+        forms = [parameter.form for parameter in self.parameters]
+        if sorted(forms) != forms or all(forms):
+            raise ValueError(f"effect {self.name}: form parameters must follow at least one other parameter")
         if self.name in self.aliases:
             raise ValueError(f"effect {self.name} lists itself as an alias")
         if not any(getattr(self, slot) is not None for slot in SLOTS):

@@ -33,7 +33,7 @@ EFFECT = Effect(
             neutral=0.0,
             typical=4.0,
             tolerance=0.2,
-            lower=-2.0,
+            lower=0.0,
             upper=40.0,
             description="angular momentum of one rotor at hover over the vehicle's moment of inertia about x",
         ),

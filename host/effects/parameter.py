@@ -45,6 +45,11 @@ class Parameter:
     measured_below
         Tolerance below which the value counts as measured, so that the effect is no exact alias of another
         one. None if the value cannot be measured.
+    form
+        True for a parameter of the effect's form: how a real vehicle may deviate from the equation. It
+        changes nothing unless the effect is present. Its tolerance is then its prior standard deviation, so a
+        smaller effect that explains only such a deviation is not named (Kennedy and O'Hagan 2001, "Bayesian
+        calibration of computer models").
 
     All numbers except the two discrepancies are in the unit of the parameter.
     """
@@ -64,6 +69,7 @@ class Parameter:
     free_lower: float | None = None
     free_upper: float | None = None
     measured_below: float | None = None
+    form: bool = False
 
     def __post_init__(self) -> None:
         if not _KEY.fullmatch(self.key):
@@ -75,7 +81,7 @@ class Parameter:
             raise ValueError(
                 f"parameter {self.key}: neutral {self.neutral} outside [{self.lower}, {self.upper}]"
             )
-        if not 0.0 < self.tolerance < self.typical:
+        if not 0.0 < self.tolerance < self.typical and not self.form:
             raise ValueError(
                 f"parameter {self.key}: need 0 < tolerance < typical, got {self.tolerance}, {self.typical}"
             )
@@ -106,6 +112,33 @@ class Parameter:
     def has_free_facts(self) -> bool:
         """Whether any of `free_sigma`, `free_lower` and `free_upper` is given."""
         return any(fact is not None for fact in (self.free_sigma, self.free_lower, self.free_upper))
+
+
+def form(
+    key: str,
+    sd: float,
+    lower: float,
+    upper: float,
+    description: str,
+    *,
+    unit: str = "1",
+    neutral: float = 0.0,
+) -> Parameter:
+    """Return a parameter of an effect's form (`Parameter.form`) with the prior standard deviation `sd`."""
+    return Parameter(
+        key=key,
+        unit=unit,
+        neutral=neutral,
+        typical=sd,
+        tolerance=sd,
+        lower=lower,
+        upper=upper,
+        description=description,
+        strength=False,
+        discrepancy=0.0,
+        loop_discrepancy=0.0,
+        form=True,
+    )
 
 
 class NumberOptions(TypedDict, total=False):

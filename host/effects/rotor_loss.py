@@ -3,16 +3,34 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect
-from trimtab.host.effects.parameter import Parameter
+from trimtab.host.effects.parameter import Parameter, form
 from trimtab.host.effects.unknowns import THRUST, TORQUE
 
 
 def _factors(ops, theta, ctx):
-    return tuple(1.0 - loss for loss in theta)
+    return tuple(
+        1.0 - loss * (1.0 + theta[4] * _excess_speed(ops, thrust, ctx))
+        for loss, thrust in zip(theta, ctx.thrust, strict=False)
+    )
+
+
+def _torque(ops, theta, ctx):
+    # The nominal model lowers the drag torque by the same share as the thrust.
+    yaw = sum(
+        spin * loss * thrust for spin, loss, thrust in zip(ctx.spin_signs, theta, ctx.thrust, strict=False)
+    )
+    return (0.0, 0.0, (1.0 - theta[5]) * ctx.torque_per_thrust_m * yaw)
+
+
+def _excess_speed(ops, thrust, ctx):
+    return ops.sqrt(ops.maximum(thrust, 0.0) / ctx.hover_n + _FLOOR) - 1.0
 
 
 def _feedforward(theta):
-    return {"gain": 1.0 - 0.25 * sum(theta)}
+    return {"gain": 1.0 - 0.25 * sum(theta[:4])}
+
+
+_FLOOR = 1e-9  # keeps the derivative of the square root finite at zero thrust
 
 
 def _rotor(number: int) -> Parameter:
@@ -22,7 +40,7 @@ def _rotor(number: int) -> Parameter:
         neutral=0.0,
         typical=0.1,
         tolerance=0.004,
-        lower=-0.2,
+        lower=-0.02,  # five tolerances: the other three rotors are never exactly alike
         upper=0.6,
         description=f"share of its thrust that rotor {number} of the vehicle file loses",
     )
@@ -32,9 +50,23 @@ EFFECT = Effect(
     name="rotor-loss",
     title="Loss of one rotor",
     family="torque",
-    equation="T_i = (1 - loss_i) T_i,nominal, for one of the rotors",
+    equation="T_i = (1 - loss_i (1 + rotor_share (sqrt(T_i / T_hover) - 1))) T_i,nominal, for one of the "
+    "rotors; its drag torque falls by torque_ratio loss_i",
     source="damaged propellers and worn motors: 0.8-0.95 of the thrust of one rotor remains",
-    parameters=tuple(_rotor(number) for number in (1, 2, 3, 4)),
+    parameters=(
+        *(_rotor(number) for number in (1, 2, 3, 4)),
+        # A damaged blade changes with the Reynolds number, a worn motor with the load.
+        form("rotor_share", 0.3, -1.0, 1.0, "share of the loss that grows with the speed of the rotor"),
+        # A short blade loses more drag torque than thrust (R^5 against R^4), a bent or taped one less.
+        form(
+            "torque_ratio",
+            0.4,
+            -1.0,
+            2.0,
+            "share of the drag torque lost over that of the thrust",
+            neutral=1.0,
+        ),
+    ),
     aliases=("com-offset", "torque-bias", "thrust-gain"),
     observable="roll, pitch and yaw torque in a fixed ratio; an offset of the centre of mass has no yaw part",
     replaced_by=(THRUST, TORQUE),
@@ -47,5 +79,6 @@ EFFECT = Effect(
     ),
     one_of=True,
     rotor_factors=_factors,
+    torque_frd=_torque,
     to_feedforward=_feedforward,
 )

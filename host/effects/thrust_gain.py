@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect, ExactAlias
-from trimtab.host.effects.parameter import Parameter
+from trimtab.host.effects.parameter import Parameter, form
 from trimtab.host.effects.unknowns import THRUST, THRUST_CURVE
 
 
 def _factor(ops, theta, ctx):
-    return theta[0]
+    gain, rotor_share = theta
+    return 1.0 + (gain - 1.0) * (1.0 + rotor_share * ctx.excess_speed(ops))
 
 
 def _feedforward(theta):
@@ -19,7 +20,7 @@ EFFECT = Effect(
     name="thrust-gain",
     title="Thrust gain",
     tolerance_of_motors=True,
-    equation="T_i = gain T_i,nominal",
+    equation="T_i = (1 + (gain - 1) (1 + rotor_share (sqrt(T / T_hover) - 1))) T_i,nominal",
     source="5-10 % between propellers, batteries and motor controllers of the same type",
     parameters=(
         Parameter(
@@ -32,6 +33,8 @@ EFFECT = Effect(
             upper=2.0,
             description="thrust over that in the vehicle file, the same for all rotors",
         ),
+        # The error of a thrust curve, or of a propeller at another Reynolds number, changes with speed.
+        form("rotor_share", 0.3, -1.0, 1.0, "share of the excess thrust that grows with rotor speed"),
     ),
     aliases=(
         "mass",

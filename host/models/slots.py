@@ -238,6 +238,7 @@ def _context(
         spin_signs=tuple(1.0 if rotor.spin == "ccw" else -1.0 for rotor in vehicle.rotors),
         inertia_kg_m2=vehicle.inertia_kg_m2,
         hover_n=vehicle.mass_kg * GRAVITY / 4.0,
+        torque_per_thrust_m=vehicle.torque_per_thrust_m,
     )
 
 

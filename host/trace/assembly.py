@@ -29,11 +29,15 @@ _SPEED_S = 0.1  # time over which the speeds of the trained region are means: th
 
 
 def named_effects(
-    space: ParameterSpace, diagnosis: Diagnosis, aliases: Mapping[str, Mapping[str, float]]
+    space: ParameterSpace,
+    diagnosis: Diagnosis,
+    aliases: Mapping[str, Mapping[str, float]],
+    probabilities: Mapping[str, float],
 ) -> tuple[Named, ...]:
     """Return the selected effects with values, standard deviations, probabilities and aliases.
 
-    aliases: probability of each alternative by the selected effect that it would replace.
+    aliases: probability of each alternative by the selected effect that it would replace. probabilities: of
+    each selected effect.
     """
     values = space.values(diagnosis.selected.theta_scaled)
     sd = np.sqrt(np.diag(diagnosis.selected.covariance)) * space.scale
@@ -52,13 +56,13 @@ def named_effects(
             space, diagnosis.selected.theta_scaled, diagnosis.selected.covariance, effect.name
         )
         for other in exact:
-            others.setdefault(other, diagnosis.inclusion_probability[name])
+            others.setdefault(other, probabilities[name])
         named.append(
             Named(
                 name=effect.name,
                 title=effect.title,
                 parameters=parameters,
-                probability=diagnosis.inclusion_probability[name],
+                probability=probabilities[name],
                 aliases=others,
                 exact_aliases=exact,
             )
@@ -104,12 +108,18 @@ def model_of(
     owners = [owner for owner in space.owners if added or owner in space.freed]
     for owner in owners:
         table = effects if owner in effect_names else adjustments
-        table[owner] = {space.columns[i].key: float(values[i]) for i in space.owners[owner]}
+        table[owner] = {
+            space.columns[i].key: float(values[i])
+            for i in space.owners[owner]
+            if owner in effect_names or not space.columns[i].form
+        }
     covariance = None
     if added:
+        kept = [i for i, c in enumerate(space.columns) if c.key in {**effects, **adjustments}[c.owner]]
         scaled = diagnosis.selected.covariance * np.outer(space.scale, space.scale)
+        scaled = scaled[np.ix_(kept, kept)]
         covariance = Covariance(
-            names=tuple(f"{c.owner}.{c.key}" for c in space.columns),
+            names=tuple(f"{space.columns[i].owner}.{space.columns[i].key}" for i in kept),
             matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
         )
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
@@ -146,7 +156,7 @@ def far_adjustments(space: ParameterSpace, model: Model) -> tuple[Finding, ...]:
             details={"value": value},
         )
         for column in space.columns
-        if column.owner in model.adjustments and column.owner not in space.freed
+        if column.owner in model.adjustments and column.owner not in space.freed and not column.form
         for value in (model.adjustments[column.owner][column.key],)
         if abs(value - column.neutral) > RULES.far_tolerances * column.tolerance
     )

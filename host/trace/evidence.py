@@ -18,7 +18,7 @@ RULES.slab_sigma typical sizes.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -33,21 +33,30 @@ TORQUE_LIMITS = (-14.0, 12.0)
 """Search range of the log variance of torque, (rad/s^2)^2 or (rad/s)^2."""
 
 
+_FIXED = 1e-3
+"""Standard deviation, scaled, of the form of an effect that is not selected: it cannot act."""
+
+
 @dataclass(frozen=True, kw_only=True)
 class Prior:
     """Prior standard deviations of parameters and nuisances.
 
-    groups: column indices of each candidate or adjustment. spike: standard deviation of each parameter,
-    scaled, if its effect is not selected. nuisance_sigma: those of a flight's nuisances, in physical units.
+    groups: column indices of each candidate or adjustment. forms: those of the form of its effect. spike:
+    standard deviation of each parameter, scaled, if its effect is not selected; of a form, if it is selected.
+    nuisance_sigma: those of a flight's nuisances, in physical units.
     """
 
     groups: dict[str, tuple[int, ...]]
     spike: Annotated[np.ndarray, "parameters"]
     nuisance_sigma: Annotated[np.ndarray, "nuisances"]
+    forms: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
     def precision(self, selected: Sequence[str]) -> Annotated[np.ndarray, "parameters"]:
         """Return the prior precision, scaled, if the effects `selected` are in the model."""
         sigma = self.spike.copy()
+        fixed = {column for columns in self.forms.values() for column in columns}
+        fixed -= {column for name in selected for column in self.forms.get(name, ())}
+        sigma[list(fixed)] = _FIXED
         for name in selected:
             for column in self.groups[name]:
                 sigma[column] = max(RULES.slab_sigma, sigma[column])

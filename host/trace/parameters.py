@@ -49,6 +49,8 @@ class Column:
         The same for fits to whole flights in closed loop.
     strength
         Whether the effect is present if only this parameter differs from neutral.
+    form
+        Whether this is a parameter of the form of the effect (`Parameter.form`).
     """
 
     owner: str
@@ -62,6 +64,7 @@ class Column:
     discrepancy: float = 0.0
     loop_discrepancy: float = LOOP_DISCREPANCY
     strength: bool = True
+    form: bool = False
 
     def __post_init__(self) -> None:
         if not self.scale > 0 or not self.tolerance > 0:
@@ -104,9 +107,10 @@ class ParameterSpace:
 
     @cached_property
     def groups(self) -> dict[str, tuple[int, ...]]:
-        """Column indices by candidate or adjustment."""
+        """Column indices by candidate or adjustment, without those of `forms`."""
         groups: dict[str, tuple[int, ...]] = {}
-        for owner, indices in self.owners.items():
+        for owner, all_indices in self.owners.items():
+            indices = tuple(i for i in all_indices if not self.columns[i].form)
             keys = [self.columns[i].key for i in indices]
             split = owner in self.effects and self.effects[owner].one_of
             groups.update(
@@ -115,6 +119,28 @@ class ParameterSpace:
                 else {owner: indices}
             )
         return groups
+
+    @cached_property
+    def forms(self) -> dict[str, tuple[int, ...]]:
+        """Column indices of the form of the effect, by candidate or adjustment."""
+        return {
+            name: tuple(i for i in self.owners[name.partition(".")[0]] if self.columns[i].form)
+            for name in self.groups
+        }
+
+    def active(self, theta_scaled: Annotated[np.ndarray, "parameters"]) -> Annotated[np.ndarray, "active"]:
+        """Return the indices of all columns except forms of effects that are within their tolerance."""
+        large = {
+            column.owner
+            for column, value in zip(self.columns, theta_scaled, strict=True)
+            if not column.form and abs(value) * column.scale > column.tolerance
+        }
+        return np.array([i for i, c in enumerate(self.columns) if not c.form or c.owner in large])
+
+    def are_aliases(self, candidate: str, other: str) -> bool:
+        """Return whether one of two candidates states the other one's effect as an alias."""
+        first, second = self.effect(candidate), self.effect(other)
+        return second.name in first.aliases or first.name in second.aliases
 
     def effect(self, candidate: str) -> Effect:
         """Return the effect of a candidate, which may be only one of its parameters."""
@@ -134,7 +160,12 @@ class ParameterSpace:
     def prior(self) -> Prior:
         """Prior of segment fits: its spike combines tolerance and discrepancy, scaled."""
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
-        return Prior(groups=self.groups, spike=spike, nuisance_sigma=np.array(self.nuisance_sigma))
+        return Prior(
+            groups=self.groups,
+            forms=self.forms,
+            spike=spike,
+            nuisance_sigma=np.array(self.nuisance_sigma),
+        )
 
     def values(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Return the physical values of scaled parameters, (parameters,) or (parameters, lanes)."""
@@ -188,10 +219,14 @@ class ParameterSpace:
 
     def admissible(self, selected: Iterable[str]) -> bool:
         """Return whether a set contains what each of its effects requires, and no effect twice."""
-        members = [self.effect(candidate) for candidate in selected]
-        names = {effect.name for effect in members}
-        needs = (effect.requires_any for effect in members)
-        return len(names) == len(members) and all(not any_of or names & set(any_of) for any_of in needs)
+        members = tuple(selected)
+        names = {self.effect(candidate).name for candidate in members}
+        return len(names) == len(members) and all(self.carried(name, members) for name in members)
+
+    def carried(self, candidate: str, selected: Iterable[str]) -> bool:
+        """Return whether a set contains an effect that `candidate` acts through, if it needs one."""
+        required = self.effect(candidate).requires_any
+        return not required or bool({self.effect(name).name for name in selected} & set(required))
 
 
 _THRUST_CURVE = (("log_gain", 0.1, 1.5), ("linear", 0.2, 1.0))
@@ -273,4 +308,5 @@ def _column(vehicle: Vehicle, owner: str, parameter: Parameter, *, free: bool) -
         discrepancy=parameter.discrepancy,
         loop_discrepancy=parameter.loop_discrepancy,
         strength=parameter.strength,
+        form=parameter.form,
     )

@@ -230,9 +230,11 @@ class ClosedLoop:
         afresh
             Whether to compute all slopes again.
         """
-        updated = {i for name in effects for i in self.space.groups[name]} | self._products
-        rows = [i for i in self._rows if afresh or self._slopes is None or i in updated]
-        whole = len(rows) == len(self._rows)
+        space = self.space
+        updated = {i for name in effects for i in (*space.groups[name], *space.forms[name])} | self._products
+        whole = afresh or self._slopes is None
+        active = set(space.active(theta_scaled).tolist())
+        rows = [i for i in self._rows if i in active and (whole or i in updated)]
         if whole:
             self._slopes = None  # before the next ones are made: of many flights they are large
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)

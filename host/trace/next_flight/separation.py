@@ -111,7 +111,8 @@ def separation(
     columns = list(space.groups[effect])
     others = [i for i in range(len(space.columns)) if i not in columns]
     free = [name for name in present if name != effect]
-    inner = gram[np.ix_(others, others)] + np.diag((prior or space.prior).precision([*free, alias])[others])
+    precision = (prior or space.prior).precision([*free, effect, alias])
+    inner = gram[np.ix_(others, others)] + np.diag(precision[others])
     cross = gram[np.ix_(others, columns)]
     information = gram[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(inner, cross)
     return float(np.sqrt(max(theta_scaled[columns] @ information @ theta_scaled[columns], 0.0)))

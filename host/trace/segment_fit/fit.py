@@ -154,7 +154,7 @@ def refit(
     else:
         theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
-            theta_scaled[list(space.groups[name])] = 0.0
+            theta_scaled[[*space.groups[name], *space.forms[name]]] = 0.0
         basis = start.basis
     iteration = 0
     while True:

@@ -297,9 +297,10 @@ def linearise(
     The initial states first take one Gauss-Newton step towards the measurements of their segment. Then they
     are projected out, since they are free. basis: gives the columns that are not taken at this point.
     """
-    count = 1 + len(theta_scaled)
-    points = np.repeat(theta_scaled[:, None], count, axis=1)
-    points[:, 1:] += _THETA_STEP * np.eye(len(theta_scaled))
+    count, active = 1 + len(theta_scaled), segment_model.space.active(theta_scaled)
+    taken = np.concatenate([[0], 1 + active])
+    points = np.repeat(theta_scaled[:, None], len(taken), axis=1)
+    points[active, 1 + np.arange(len(active))] += _THETA_STEP
     piece, piece_flight = _pieces(data.flight, len(nuisances))
     memory = remembered(segment_model, data, points)
     x0 = data.x0.copy()
@@ -319,10 +320,12 @@ def linearise(
         x0[segments] = _stepped_x0(
             segment_model, part, theta_scaled, nuisances[flight], (columns, columns_gram), starts[:, :1]
         )
-        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, count)
+        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, len(taken))
         lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
-        A = lanes.jacobian(segment_model, part, bins=False)
+        slopes = lanes.jacobian(segment_model, part, bins=False)
+        A = np.zeros((len(segments), count, slopes.shape[2]))
+        A[:, taken] = slopes
         w = part.disturbance_frd.reshape(len(segments), 1, -1)
         A[:, 0] += (w @ columns[:, STATES + NUISANCES :])[:, 0]
         sizes = np.einsum("spn,spn->p", A, A)
