@@ -173,7 +173,7 @@ class Trace:
         A candidate is left out if the search did not consider the selected set with or without it.
         """
         weights, selected = self.diagnosis.posterior_weights, set(self.diagnosis.selected.effects)
-        log_weight = float(np.log(max(weights[tuple(sorted(selected))], 1e-300)))
+        log_weight = float(np.log(max(weights.get(tuple(sorted(selected)), 0.0), 1e-300)))
         nats = {}
         for name in self.space.candidates:
             other = tuple(sorted(selected ^ {name}))

@@ -90,7 +90,11 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking_s, extent_m)
     )
     within_library, null_fit = decision.within_library, diagnosis.null_fit
-    named = named_effects(parameters, diagnosis, decision.aliases) if within_library else ()
+    named = (
+        named_effects(parameters, diagnosis, decision.aliases, decision.probabilities)
+        if within_library
+        else ()
+    )
     theta_scaled = (
         diagnosis.selected.theta_scaled if within_library else theta_without_effects(parameters, null_fit)
     )

@@ -128,6 +128,11 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
             break
         current = best
     selected, scores = _select(fitter, fits)
+    for names in _underrated_substitutions(fitter, selected, scores):
+        if names not in fits:
+            fits[names] = fitter.fit(names, selected)
+            on_progress(f"{', '.join(names)} fitted")
+    selected, scores = _select(fitter, fits)
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
         promising = most_probable(scores)
@@ -143,6 +148,9 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
     total = sum(weights.values())
+    names = without_dispensable(selected.effects, weights)
+    if names != selected.effects:
+        selected = fits[names] if names in fits else fitter.fit(names, selected)
     return SearchResult(
         selected=selected,
         inclusion_probability={
@@ -152,6 +160,52 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         posterior_weights=weights,
         log_evidence={names: fit.log_evidence for names, fit in fits.items()},
     )
+
+
+def _underrated_substitutions(fitter: Fitter[F], selected: F, scores: Mapping[Names, float]) -> list[Names]:
+    """Return sets in which an effect stands in place of its aliases, if only its form may have decided.
+
+    The linearisation does not contain the form of an effect that is absent (`ParameterSpace.forms`), so it
+    underrates that effect. scores: of the sets near the selected one, and of the empty set.
+    """
+    space, score = fitter.space, fitter.scorers(selected)[-1]
+    gained = selected.log_evidence - scores[()]
+    margin = max(RULES.worth_fitting_nats, RULES.form_share * gained)
+    trials: list[Names] = []
+    for name in space.candidates:
+        replaced = [other for other in selected.effects if space.are_aliases(name, other)]
+        if name in selected.effects or not space.forms[name]:
+            continue
+        for group in {(other,) for other in replaced} | {tuple(replaced)} - {()}:
+            names = tuple(sorted({*selected.effects, name} - set(group)))
+            if space.admissible(names):
+                trials.append(names)
+    trials = sorted(set(trials))
+    if not trials:
+        return []
+    shift = selected.log_evidence - score([selected.effects])[0]
+    found = zip(trials, score(trials), strict=True)
+    return [names for names, value in found if value + shift > selected.log_evidence - margin]
+
+
+def without_dispensable(selected: Names, weights: Mapping[Names, float]) -> Names:
+    """Return the selected set without the effects that the rest of the set can do without.
+
+    An effect is dispensable if subsets of the selected set that lack it hold more than
+    RULES.alias_probability of the posterior: the data does not show that it is there. The least probable
+    effect is tested first. weights: relative posterior probability of sets.
+    """
+    total = sum(weights.values())
+    while selected:
+        shares = {
+            name: sum(w for names, w in weights.items() if set(names) <= set(selected) - {name}) / total
+            for name in selected
+        }
+        name = max(shares, key=lambda name: (shares[name], name))
+        if shares[name] <= RULES.alias_probability:
+            break
+        selected = tuple(other for other in selected if other != name)
+    return selected
 
 
 def _select(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:

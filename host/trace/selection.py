@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Any, Literal
 
@@ -14,7 +14,13 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import is_null_open
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter, fit_closed_loop, prior_of
+from trimtab.host.trace.flight_fit.fit import (
+    FlightFit,
+    FlightFitter,
+    fit_closed_loop,
+    prior_of,
+    search_temper,
+)
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
 from trimtab.host.trace.parameters import ParameterSpace
@@ -180,8 +186,10 @@ def _from_flights(
     on_progress("comparing repeat flights")
     result = without_payload_artefacts(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
-    present = tuple(name for name, size in sizes(fitter, fit).items() if size > RULES.present_spikes)
+    references = flights_by_reference(repeat_flights, len(flights))
+    present = present_effects(fitter, fit, inflated_flight_covariance(space, fit, references))
     if present != fit.effects:  # this fit determines sizes more accurately than the search
+        result = without_contradicted(result, set(fit.effects) - set(present))
         result = replace(result, selected=fitter.fit(present, result.selected))
         fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
     judged = (
@@ -192,7 +200,7 @@ def _from_flights(
         for theta_scaled in (judged.theta_scaled, theta_without_effects(space, null_fit))
     )
     del loop, fitter  # they hold much memory
-    covariance = inflated_flight_covariance(space, fit, flights_by_reference(repeat_flights, len(flights)))
+    covariance = inflated_flight_covariance(space, fit, references)
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
     )
@@ -206,6 +214,35 @@ def _from_flights(
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
         repeatability=(after, before),
     )
+
+
+def present_effects(
+    fitter: FlightFitter, fit: FlightFit, covariance: Annotated[np.ndarray, "parameters parameters"]
+) -> Names:
+    """Return the effects of a fit that exceed their tolerance and chance.
+
+    covariance: of the parameters, scaled, as it is reported. The distance of the strengths from neutral must
+    exceed RULES.present_sigma in its terms.
+    """
+    space, theta_scaled = fitter.space, fit.theta_scaled
+    tolerances = sizes(fitter, fit)
+    present = []
+    for name in fit.effects:
+        strengths = [i for i in space.groups[name] if space.columns[i].strength]
+        size = theta_scaled[strengths]
+        sigma = np.sqrt(size @ np.linalg.solve(covariance[np.ix_(strengths, strengths)], size))
+        if tolerances[name] > RULES.present_spikes and sigma > RULES.present_sigma:
+            present.append(name)
+    return tuple(name for name in present if space.carried(name, present))
+
+
+def without_contradicted(result: SearchResult[FlightFit], absent: Collection[str]) -> SearchResult[FlightFit]:
+    """Return the result with at most RULES.open_probability for effects that the refit found `absent`."""
+    probability = {
+        name: min(p, RULES.open_probability) if name in absent else p
+        for name, p in result.inclusion_probability.items()
+    }
+    return replace(result, inclusion_probability=probability)
 
 
 def without_payload_artefacts(
@@ -222,9 +259,9 @@ def without_payload_artefacts(
     if not any(fitter.space.effect(name).memory for name in selected.effects):
         return result
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
-    tie_nats = RULES.tie_nats
+    tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / search_temper(fitter.order)
     if residual is not None:
-        tie_nats = max(tie_nats, RULES.least_gain_beside_memory * residual.attainable_nats(RULES))
+        tie_nats = max(tie_nats, share * residual.attainable_nats(RULES))
     names = most_parsimonious(result, tie_nats)
     if len(names) >= len(selected.effects):
         return result

@@ -31,20 +31,25 @@ def _substitutes(
 ) -> dict[str, float]:
     """Return the unselected candidates that may stand in place of `name`, with their probabilities.
 
-    It is the posterior probability of the sets that contain the candidate but not `name`. Only those above
-    RULES.alias_probability are returned.
+    It is the posterior probability of the sets that contain the candidate but not `name`. Those above
+    RULES.alias_probability are returned, and further ones until the sets with `name` or one of them hold
+    all but RULES.alias_probability of the posterior.
     """
     total = sum(posterior_weights.values())
-    probabilities = {}
-    for other in space.candidates:
-        if other in selected:
-            continue
-        share = (
-            sum(w for names, w in posterior_weights.items() if name not in names and other in names) / total
-        )
-        if share > rules.alias_probability:
+    without = {names: w / total for names, w in posterior_weights.items() if name not in names}
+    shares = {
+        other: sum(share for names, share in without.items() if other in names)
+        for other in space.candidates
+        if other not in selected
+    }
+    probabilities: dict[str, float] = {}
+    for other, share in sorted(shares.items(), key=lambda item: -item[1]):
+        left = sum(w for names, w in without.items() if not set(names) & set(probabilities))
+        if share <= rules.alias_probability and left <= rules.alias_probability:
+            break
+        if share > 0.0:
             probabilities[other] = share
-    return dict(sorted(probabilities.items(), key=lambda item: -item[1]))
+    return probabilities
 
 
 def with_undetectable(

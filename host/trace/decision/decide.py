@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+
+from scipy.special import expit
 
 from trimtab.host.trace.decision.alternatives import (
     Aliases,
@@ -99,6 +102,9 @@ class Decision:
         For each selected effect: the effects that could replace it, with their probabilities.
     possible
         Probability of further effects that the data does not exclude.
+    probabilities
+        Probability of each selected effect. If segments judged it too, the smaller of the two counts: each
+        fit has its own noise model, and no flight was repeated to show which one is wrong.
     to_separate
         Pair of effects that the next flight should separate; None unless the verdict is undecided.
     residual
@@ -110,6 +116,7 @@ class Decision:
     findings: tuple[Finding, ...]
     aliases: Aliases
     possible: Mapping[str, float]
+    probabilities: Mapping[str, float]
     to_separate: tuple[str, str] | None
     residual: UnexplainedResidual
 
@@ -144,6 +151,13 @@ def decide(inputs: DecisionInputs, rules: Rules = RULES) -> Decision:
         findings=tuple(findings),
         aliases=aliases,
         possible=possible,
+        probabilities={
+            name: min(
+                inputs.inclusion_probability[name],
+                expit(-inputs.segment_disagreement_nats.get(name, -math.inf)),
+            )
+            for name in inputs.selected
+        },
         to_separate=(pair_to_separate(aliases, inputs.inclusion_probability, rules) if undecided else None),
         residual=residual,
     )
@@ -263,20 +277,20 @@ def better_but_unsupported(
 
 
 def segment_disagreement(disagreement_nats: Mapping[str, float], rules: Rules) -> list[Finding]:
-    """Return a finding if segments prefer the selected set without some of its effects.
+    """Return a finding if segments do not confirm some of the selected effects by RULES.odds.
 
     One flight contains few gusts, and a fit to the whole flight may mistake them for physics. Segments have a
     free disturbance for gusts and a free initial state. disagreement_nats: by how many nats segments prefer
     the set without each effect.
     """
-    absent = {name: nats for name, nats in disagreement_nats.items() if nats > rules.tie_nats}
+    absent = {name: nats for name, nats in disagreement_nats.items() if nats > -rules.tie_nats}
     if not absent:
         return []
     return [
         Finding(
             code=Code.SEGMENTS_DISAGREE,
             value=max(absent.values()),
-            bound=rules.tie_nats,
+            bound=-rules.tie_nats,
             unit="nats",
             subject=tuple(absent),
         )

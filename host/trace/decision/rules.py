@@ -43,11 +43,23 @@ class Rules:
         "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
         "best. A start value of an effect is used only if it gains more than this.",
     )
+    form_share: float = _rule(
+        0.1,
+        "1",
+        "Share of the nats that a set gains that the form of an effect may decide. An alias of a selected "
+        "effect is fitted if the screening, which lacks its form, puts it no farther than this below.",
+    )
     present_spikes: float = _rule(
         1.0,
         "spikes",
         "An effect is present if a strength parameter is farther than this from neutral, in units of the "
         "spike (tolerance and discrepancy combined).",
+    )
+    present_sigma: float = _rule(
+        2.0,
+        "sigma",
+        "An effect is present if the fit that is weighted by turbulence and noise puts it farther than this "
+        "from neutral, in reported standard deviations.",
     )
     far_tolerances: float = _rule(
         2.0,
@@ -157,7 +169,8 @@ class Rules:
         2.0,
         "1",
         "Information of whitened residuals is divided by this, since they stay correlated beyond the windows "
-        "of the autoregression (`whitening.WINDOWS`).",
+        "of the autoregression (`whitening.WINDOWS`); in the search only if the data is too short for all "
+        "windows.",
         MEASURED,
     )
     min_widening: float = _rule(

@@ -23,6 +23,7 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
 from trimtab.host.trace.flight_fit.whitening import (
+    WINDOWS,
     Regressors,
     Whitening,
     autoregression,
@@ -128,7 +129,7 @@ def fit_closed_loop(
         theta_scaled, base = moved, residuals
         iteration += 1
     count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1])
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / search_temper(order)
     return FlightFit(
         effects=tuple(sorted(effects)),
         theta_scaled=space.clipped(theta_scaled + step),
@@ -141,6 +142,15 @@ def fit_closed_loop(
         grams=grams,
         error_m=_position_rms(loop, base),
     )
+
+
+def search_temper(order: int) -> float:
+    """Return the divisor of the information in a search with an autoregression of this order.
+
+    If there is too little data for all windows, innovations stay correlated, and effects that ring like the
+    loop's answer to a gust would explain them. It is RULES.temper then, and 1 otherwise.
+    """
+    return RULES.temper if order < len(WINDOWS) else 1.0
 
 
 def _linear_step(
@@ -160,7 +170,7 @@ def _linear_step(
         return regressors(r, loop.recordings[index].known, order)
 
     white = autoregression(loop.each(regressors_of))
-    grams = whitened_grams(white, loop, base, slopes)
+    grams = whitened_grams(white, loop, base, slopes) / search_temper(order)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
 
@@ -207,7 +217,7 @@ def _line_search(
 
     rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
     points = np.column_stack([theta_scaled, points])
-    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0)
+    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / search_temper(white.order)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
     return points[:, best], [r[best].copy() for r in rolled]
 
@@ -236,7 +246,7 @@ class FlightFitter:
         """Return the set `effects` fitted from `start`."""
         theta_scaled = start.theta_scaled.copy()
         for name in set(start.effects) - set(effects):
-            theta_scaled[list(self.space.groups[name])] = 0.0
+            theta_scaled[[*self.space.groups[name], *self.space.forms[name]]] = 0.0
         for name in set(effects) - set(start.effects):
             if self.space.effect(name).starts:
                 gain, theta_start = self._start_gain(name, start)
@@ -296,7 +306,7 @@ class FlightFitter:
         def gram_of(index: int, r: np.ndarray) -> np.ndarray:
             columns = np.concatenate([base[index][None], slopes[index], base[index] - r])
             white = whitened(fit.whitening, columns, self.loop.recordings[index].known)
-            return white @ white.T
+            return white @ white.T / search_temper(self.order)
 
         gram = np.sum(self.loop.with_residuals(points, gram_of), axis=0)
         others = [i for i in range(len(fit.theta_scaled)) if i not in columns]
@@ -352,11 +362,8 @@ def fit_with_whitening(
     turn = 0
     while True:
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
-        grams = (
-            flight_weight
-            / RULES.temper
-            * whitened_grams(white, loop, base, loop.slopes(theta_scaled, effects, base, afresh=turn < 2))
-        )
+        slopes = loop.slopes(theta_scaled, effects, base, afresh=turn < 2)
+        grams = flight_weight / RULES.temper * whitened_grams(white, loop, base, slopes)
         deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)

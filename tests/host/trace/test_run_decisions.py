@@ -370,7 +370,7 @@ def named(
 ) -> Sequence[Any]:
     best = build_fit(effects, theta_scaled=Z, covariance=COVARIANCE)
     diagnosis = build_diagnosis(effects, inclusion_probability=INCLUSION, selected=best)
-    return named_effects(space, diagnosis, aliases or {name: {} for name in effects})
+    return named_effects(space, diagnosis, aliases or {name: {} for name in effects}, INCLUSION)
 
 
 @pytest.mark.parametrize(
