@@ -1,15 +1,17 @@
 """Foreign plants: physics from a file outside this package, checked at every step.
 
 `path.py:Class` is built as `Class(vehicle, options, seed)`: the vehicle file, a dict, and a number that
-differs between flights. It has the methods `reset(p_ned, q_ned_frd)`, `step(motor_command, dt_us)` with four
-commands in 0..1 held over a whole number of milliseconds, and `state()`, which returns p_ned, v_ned,
-q_ned_frd (w first), rate_frd, specific_force_frd and battery_v without noise. The floor is at z_ned = 0; the
-plant must model contact itself.
+differs between flights. In a world, it is built with `world=` too, a `trimtab.sitl.draw.World`, and must act
+out effects, deviations and turbulence of that world, except those of the camera system. It has the methods
+`reset(p_ned, q_ned_frd)`, `step(motor_command, dt_us)` with four commands in 0..1 held over a whole number of
+milliseconds, and `state()`, which returns p_ned, v_ned, q_ned_frd (w first), rate_frd, specific_force_frd and
+battery_v without noise. The floor is at z_ned = 0; the plant must model contact itself.
 """
 
 from __future__ import annotations
 
 import importlib.util
+import inspect
 import math
 import sys
 import tomllib
@@ -20,6 +22,7 @@ from typing import Any
 from trimtab.host.base.errors import TrimtabError
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.draw import World
 
 _PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("specific_force_frd", 3))
 _UNIT_TOLERANCE = 1e-3
@@ -88,8 +91,13 @@ class ForeignPlant:
             self.sensed[i] = value
 
 
-def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int) -> ForeignPlant:
-    """Return the plant `path.py:Class`. Raises ForeignPlantError if it cannot be built."""
+def load_foreign_plant(
+    spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int, world: World | None = None
+) -> ForeignPlant:
+    """Return the plant `path.py:Class`, in a world if one is given.
+
+    Raises ForeignPlantError if it cannot be built, or takes no world although one is given.
+    """
     file, _, class_name = spec.rpartition(":")
     path = Path(file)
     if not file or not class_name:
@@ -104,8 +112,13 @@ def load_foreign_plant(spec: str, vehicle: Vehicle, options: Mapping[str, Any], 
     sys.modules[module_spec.name] = module  # dataclasses in the file look up their module here
     try:
         module_spec.loader.exec_module(module)
-        body = getattr(module, class_name)(vehicle, dict(options), seed)
-    except KeyboardInterrupt:
+        maker = getattr(module, class_name)
+        if world is not None and "world" not in inspect.signature(maker).parameters:
+            raise ForeignPlantError(
+                f"plant {name} takes no world; leave out the world, or give the class an argument `world`"
+            )
+        body = maker(vehicle, dict(options), seed, **({} if world is None else {"world": world}))
+    except (KeyboardInterrupt, ForeignPlantError):
         raise
     except BaseException as error:  # a user's file may raise anything, even SystemExit
         raise ForeignPlantError(f"plant {name}: cannot be built, {type(error).__name__}: {error}") from error

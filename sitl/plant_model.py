@@ -151,14 +151,14 @@ def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) 
     of the forces gives second order. Rotors and gusts follow exact exponentials; battery, payload and tray
     take one step.
     """
-    P = _cut(PARAMETERS, inputs["parameters"])
-    x = _cut(STATE, inputs["state"])
+    P = cut(PARAMETERS, inputs["parameters"])
+    x = cut(STATE, inputs["state"])
     p, v, q, w = x["p_ned"], x["v_ned"], x["q_ned_frd"], x["rate_frd"]
     voltage, charge = P["battery"][0], x["charge_used_c"][0]
     if "battery-sag" in parts:
-        voltage, charge = _battery(ops, P, x["rotor_speed"], charge)
+        voltage, charge = battery(ops, P, x["rotor_speed"], charge)
     speeds, speeds_end = rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage, parts)
-    gust = _gust(P, x["gust"], inputs["noise"])
+    gust = next_gust(P, x["gust"], inputs["noise"])
 
     half, h = 0.5 * TICK_S, TICK_S
     w_half = ahead(w, x["turning_frd"], half)
@@ -180,7 +180,7 @@ def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) 
     force = into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
     force = [f - c for f, c in zip(force, carried, strict=True)]
     state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning, *hanging, *slide]
-    pose = [*_origin(p, v, rotation(q), w, com, com_rate), *q]
+    pose = [*origin(p, v, rotation(q), w, com, com_rate), *q]
     return {"state": state, "pose": pose, "sensed": [*w, *force, voltage]}
 
 
@@ -281,7 +281,7 @@ def _accelerations(  # noqa: C901 - the order of operations determines the bytes
 
 def _hang(ops: Any, P: Mapping[str, Any], body: _Body, hanging: Vector) -> tuple[list[Scalar], list[Scalar]]:
     """Return the force in NED of a payload's line at the origin, and the payload's state after the tick."""
-    hook = _origin(body.p, body.v, body.R, body.w, body.com)
+    hook = origin(body.p, body.v, body.R, body.w, body.com)
     p, v = hanging[:3], hanging[3:]
     place = ahead(p, v, 0.5 * TICK_S)
     a, line = payload(ops, P, hook[:3], hook[3:], place, v, wind(ops, P, place))
@@ -303,7 +303,7 @@ def _slide(
     return com, [rate * u for u in way], [s, rate]
 
 
-def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
+def battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
     """Return the voltage under load at the start of the tick, V, and the charge used at its end, C.
 
     The open-circuit voltage falls with the depth of discharge as in a lithium-polymer cell. Rotor power grows
@@ -323,14 +323,14 @@ def _battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> 
     return loaded, charge + TICK_S * power / loaded
 
 
-def _gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
+def next_gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:
     """Return the next state of the turbulence: six Ornstein-Uhlenbeck processes, constant over the tick."""
     keep, force, torque = P["gust"]
     added = (force, force, force, torque, torque, torque)
     return [keep * g + s * n for g, s, n in zip(gust, added, noise, strict=True)]
 
 
-def _origin(
+def origin(
     p: Vector, v: Vector, R: Vector, w: Vector, com: Vector, com_rate: Vector | None = None
 ) -> list[Scalar]:
     """Return position and velocity in NED of the body's origin, from those of the centre of mass."""
@@ -342,7 +342,8 @@ def _origin(
     return [a - b for a, b in zip([*p, *v], [*place, *speed], strict=True)]
 
 
-def _cut(layout: Sequence[Block], values: Vector) -> dict[str, list[Scalar]]:
+def cut(layout: Sequence[Block], values: Vector) -> dict[str, list[Scalar]]:
+    """Return the vector `values` in the blocks of `layout`, by name."""
     parts, start = {}, 0
     for name, size in layout:
         parts[name] = [values[i] for i in range(start, start + size)]

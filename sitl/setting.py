@@ -32,6 +32,8 @@ class Setting:
 
     vehicle: Vehicle
     world: World
+    is_world_named: bool
+    """Whether the world was chosen. Its effects then also act with a foreign plant."""
     plant: str | None
     plant_options: Mapping[str, Any]
     start: Place

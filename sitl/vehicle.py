@@ -96,7 +96,7 @@ class SimulatedVehicle:
         world_seed, flight
             Non-negative seed and flight index. The world depends on the seed alone.
         plant
-            Foreign plant instead of a world, path.py:Class.
+            Foreign plant, path.py:Class. With `world`, it gets that world.
         plant_options
             Path of the TOML file for the foreign plant.
         start_ned, start_yaw
@@ -112,8 +112,6 @@ class SimulatedVehicle:
 
         Raises ConfigurationError or ForeignPlantError (exit code 2).
         """
-        if plant is not None and world is not None:
-            raise ConfigurationError(["a foreign plant has its own physics; leave out world or plant"])
         if plant is None and plant_options is not None:
             raise ConfigurationError(["plant options without a plant; name the plant as path.py:Class"])
         name, file = load_world(world if world is not None else DEFAULT_WORLD)
@@ -124,6 +122,7 @@ class SimulatedVehicle:
         setting = Setting(
             vehicle=vehicle,
             world=drawn,
+            is_world_named=world is not None,
             plant=plant,
             plant_options=read_plant_options(plant_options),
             start=Place(start_ned, start_yaw),
@@ -270,7 +269,7 @@ class SimulatedVehicle:
         self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
         self._imu_errors = self._imu.errors()
         latency_s, tilt = 0.0, (0.0, 0.0)
-        if setting.plant is None:
+        if setting.plant is None or setting.is_world_named:
             latency_s = world.value("mocap-latency", "latency_s")
             tilt = (world.value("frame-tilt", "tilt_x"), world.value("frame-tilt", "tilt_y"))
         mocap_rng = flight_generator(seed, flight, Purpose.MOCAP)
@@ -320,7 +319,8 @@ class SimulatedVehicle:
         if setting.plant is None:
             return Plant(setting.vehicle, setting.world, flight)
         seed = int(flight_generator(setting.world.seed, flight, Purpose.FOREIGN_PLANT).integers(2**62))
-        return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed)
+        world = setting.world if setting.is_world_named else None
+        return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed, world)
 
     def _devices(self) -> Callable[[int], None]:
         """Return the function that ticks all devices except the plant: camera, radios, flight processor."""

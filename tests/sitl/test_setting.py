@@ -19,7 +19,9 @@ HALF = math.sqrt(0.5)
 def setting() -> Setting:
     vehicle = load_vehicle("research")
     world = draw_world(*load_world("empty"), 0, vehicle)
-    return Setting(vehicle=vehicle, world=world, plant=None, plant_options={}, start=START)
+    return Setting(
+        vehicle=vehicle, world=world, is_world_named=True, plant=None, plant_options={}, start=START
+    )
 
 
 def test_upright_vehicle_stays_where_it_stands(setting: Setting) -> None:

@@ -160,7 +160,6 @@ def test_foreign_plant_that_raises_ends_the_flight_with_its_name(session_tools, 
 @pytest.mark.parametrize(
     ("arguments", "told"),
     [
-        ({"world": "empty", "plant": THERMAL}, "leave out world or plant"),
         ({"plant_options": "x.toml"}, "without a plant"),
         ({"radio": {"loss": 1.5, "speed": 2}}, "radio: speed: unknown key"),
         ({"world": "nirvana"}, "no such world"),
@@ -169,6 +168,11 @@ def test_foreign_plant_that_raises_ends_the_flight_with_its_name(session_tools, 
 def test_vehicle_with_contradicting_options_is_refused(arguments: dict, told: str) -> None:
     with pytest.raises(ConfigurationError, match=told):
         SimulatedVehicle.create(load_vehicle("research"), **arguments)
+
+
+def test_foreign_plant_that_takes_no_world_is_refused_in_one() -> None:
+    with pytest.raises(ForeignPlantError, match=r"thermal\.py:Thermal takes no world; leave out the world"):
+        SimulatedVehicle.create(load_vehicle("research"), world="empty", plant=THERMAL)
 
 
 def test_profile_knows_every_part() -> None:
