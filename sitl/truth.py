@@ -13,7 +13,7 @@ def truth_record(
 ) -> dict[str, Any]:
     """Return the truth as plain data: the session's uid, world and seed, effects and deviations.
 
-    `plant` is the name of a foreign plant. Its physics is unknown, and the world's effects then do not act.
+    `plant` is the name of a foreign plant. Its physics is its own; if the world was chosen, it acts it out.
     `at_port`: whether the vehicle was served at a port.
     """
     return {

@@ -51,6 +51,11 @@ def _node() -> str | None:
     return f"{' and '.join(missing)} not on PATH" if missing else None
 
 
+def _plants() -> str | None:
+    missing = [name for name in ("rotorpy", "crazyflow") if not importlib.util.find_spec(name)]
+    return f"{' and '.join(missing)} not installed (the extra plants)" if missing else None
+
+
 def _pty() -> str | None:
     return None if hasattr(os, "openpty") else "no pseudo-terminals here"
 
@@ -79,6 +84,7 @@ PARTS: dict[str, Callable[[], str | None]] = {
     "git": _program("git"),
     "minsnap": _module("minsnap_trajectories", "requirements-bench.lock"),
     "node": _node,
+    "plants": _plants,
     "pty": _pty,
     "rockit": _module("rockit", "requirements-bench.lock"),
     "uv": _program("uv"),

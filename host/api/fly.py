@@ -93,7 +93,7 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     mocap_delay_ms
         Minimum time from a camera's exposure to the arrival of its pose, ms.
     plant
-        Physics of your own instead of a world, path.py:Class.
+        Physics of your own, path.py:Class. With `world`, it acts out that world.
     plant_options
         TOML file that the plant receives.
     realtime

@@ -19,7 +19,7 @@ from trimtab.host.link.vehicle import vehicle_class
 class Simulation:
     """What is simulated. No artefact but the sealed truth may hold any of it.
 
-    world, plant_options: name or path; None for the default. plant: path.py:Class, instead of a world.
+    world, plant_options: name or path; None for the default. plant: path.py:Class, in the world, if any.
     realtime: whether it keeps to the wall clock.
     """
 

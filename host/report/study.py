@@ -36,9 +36,10 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
+    where = "" if answer["plant"] is None else f" in the plant of {answer['plant']}"
     return render(
         "study.html.j2",
-        title=f"Blind study of {answer['worlds']} worlds, seed {answer['seed']}",
+        title=f"Blind study of {answer['worlds']} worlds{where}, seed {answer['seed']}",
         table=outcome["table"],
         thin=outcome["thin"],
         real=outcome["real"],

@@ -32,7 +32,7 @@ class SitlOptions:
     world
         World to simulate, by name or path. Default: the empty world.
     plant
-        Physics of your own instead of a world, path.py:Class.
+        Physics of your own, path.py:Class. With `world`, it acts out that world.
     plant_options
         TOML file that the plant receives.
     world_seed

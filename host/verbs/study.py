@@ -32,6 +32,8 @@ class StudyOptions:
     quick
         Run a small study to check that everything works. For controller-tuning, correction, labels, link and
         the paper's studies.
+    plant
+        Simulator whose plant the worlds have instead of ours: rotorpy or crazyflow. For blind.
     baselines
         Also score other methods on the same logs. For blind.
     real
@@ -44,7 +46,8 @@ class StudyOptions:
         Folder that --shard wrote; give the option once for each. Copy their files, and write the report of
         the whole study.
     output
-        Folder for state and report. Default: study-NAME-SEED in the workspace.
+        Folder for state and report. Default: study-NAME-SEED in the workspace, study-NAME-PLANT-SEED with a
+        plant.
     """
 
     seed: int = 1
@@ -52,6 +55,7 @@ class StudyOptions:
     vehicle: VehicleName = DEFAULT_VEHICLE
     jobs: int | None = None
     quick: Annotated[bool, Parameter(negative="")] = False
+    plant: str | None = None
     baselines: Annotated[bool, Parameter(negative="")] = False
     real: Path | None = None
     shard: str | None = None
@@ -90,6 +94,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
         raise UsageError(f"--seed {options.seed} is negative; give 0 or more")
     check_jobs(options.jobs)
     settings = {"seed": options.seed, "worlds": options.worlds, "quick": options.quick}
+    settings |= {} if options.plant is None else {"plant": options.plant}
     shard = None if options.shard is None else parse_shard(options.shard, settings)
     if options.merge and shard is not None:
         raise UsageError("give --shard or --merge, not both")
@@ -99,6 +104,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             "shard": shard or options.merge or None,
             "worlds": options.worlds,
             "quick": options.quick,
+            "plant": options.plant,
             "with_baselines": options.baselines,
             "real": options.real,
         },
@@ -106,6 +112,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             "shard": "--merge" if options.merge else "--shard",
             "worlds": "--worlds",
             "quick": "--quick",
+            "plant": "--plant",
             "with_baselines": "--baselines",
             "real": "--real",
         },
@@ -114,7 +121,8 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
     space = open_workspace(options.workspace)
     space.vehicle(options.vehicle)
     file = Path(options.vehicle)
-    folder = options.output if options.output is not None else space.root / f"study-{name}-{options.seed}"
+    words = [name, *([] if options.plant is None else [options.plant]), str(options.seed)]
+    folder = options.output if options.output is not None else space.root / "-".join(["study", *words])
     artefacts.check_folder(folder, ())
     if options.merge:
         del study_options["shard"]

@@ -30,6 +30,7 @@ from trimtab.sitl.studies.flights import (
     plan_references,
     trace,
 )
+from trimtab.sitl.studies.plants import check_plant
 from trimtab.sitl.studies.real import judge_real, read_groups
 from trimtab.sitl.studies.scoring.baselines import BASELINES, judge_others
 from trimtab.sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
@@ -64,6 +65,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     vehicle: str,
     jobs: int,
     worlds: int = 30,
+    plant: str | None = None,
     with_baselines: bool = False,
     real: Path | None = None,
     programme: Programme = BLIND,
@@ -81,6 +83,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         State and results; an interrupted study resumes.
     jobs
         Number of processes.
+    plant
+        Name in `plants.PLANTS`: fly in the plant of that simulator, worlds of the classes IN_PLANTS.
     real
         File with groups of recorded flights that are traced too.
     programme
@@ -93,11 +97,12 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     UsageError
         The folder holds another study or is in use.
     StudyError
-        A route cannot be planned or a world cannot be flown.
+        A route cannot be planned, a world cannot be flown, or the plant is unknown or not installed.
     SealBroken
         A truth has changed since it was sealed.
     """
-    planned = plan_worlds(seed, worlds, library())
+    check_plant(plant)
+    planned = plan_worlds(seed, worlds, library(), plant)
     groups = [] if real is None else read_groups(real)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
@@ -108,6 +113,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
             "study": "blind",
             "seed": seed,
             "worlds": worlds,
+            "plant": plant,
             "vehicle": load_vehicle(vehicle).id,
             "references": {path.stem: sha256_of(path) for path in sorted(references.glob("*.ref"))},
             "kinds": sorted({kind for world in planned for kind in world.kinds}),
@@ -133,7 +139,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
         recorded = judge_real(groups, folder, lambda detail: on_progress(done, done, detail))
-    return _outcome({"seed": seed, "worlds": worlds, "folder": str(folder)}, scores, recorded)
+    setup = {"seed": seed, "worlds": worlds, "plant": plant, "folder": str(folder)}
+    return _outcome(setup, scores, recorded)
 
 
 def _outcome(
@@ -143,7 +150,7 @@ def _outcome(
     figures, baselines = summary(scores), baseline_rows(scores)
     return {
         "answer": {"study": "blind", **setup, **figures, "baselines": baselines, "real": recorded},
-        "lines": lines(figures, scores, baselines, recorded),
+        "lines": [f"plant: {setup['plant'] or 'own'}", *lines(figures, scores, baselines, recorded)],
         "table": table(figures),
         "thin": thin_table(figures),
         "real": real_table(recorded),

@@ -11,6 +11,7 @@ from typing import Any
 
 from trimtab.sitl.studies.commandline import run_apart, run_inside
 from trimtab.sitl.studies.files import StudyError, read_json, sha256_of, write_json, write_whole
+from trimtab.sitl.studies.plants import PLANTS
 from trimtab.sitl.studies.worlds import PlannedWorld
 
 
@@ -120,6 +121,7 @@ def fly_and_seal(
         "class": world.kind_class,
         "kinds": list(world.kinds),
         "case": world.case,
+        "plant": world.plant,
         "file": world.toml(),
         "seed": world.seed,
         "vehicle": vehicle,
@@ -148,6 +150,7 @@ def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: s
     craft = str(vehicle_file) if vehicle_file.is_file() else vehicle
     words = ["fly", f"{reference}.ref", "--vehicle", craft, "--world", str(path)]
     words += ["--world-seed", str(world.seed), "--flight", str(index), "--seed", str(index)]
+    words += [] if world.plant is None else ["--plant", PLANTS[world.plant].spec]
     done = run_inside([*words, "-o", str(log), "--force"])
     if done.code not in (0, 1) or not _truth_path(log).is_file():
         raise StudyError(f"world {world.name}, flight {log.stem}: {done.errors.strip()}")

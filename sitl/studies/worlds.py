@@ -17,6 +17,7 @@ import numpy as np
 
 from trimtab.sitl.kinds import DRAG, KINDS
 from trimtab.sitl.studies.files import StudyError
+from trimtab.sitl.studies.plants import PLANTS
 from trimtab.sitl.world import ImuSettings, Turbulence
 
 Class = Literal["none", "single", "pair", "outside", "thin", "several"]
@@ -24,6 +25,9 @@ FULL: dict[Class, int] = {"single": 150, "pair": 60, "none": 200, "outside": 80,
 """Worlds of each class in a blind study of full size; smaller and larger ones keep the proportions. Worlds of
 several effects are of other studies.
 """
+
+IN_PLANTS: tuple[Class, ...] = ("single", "pair", "none")
+"""Classes of worlds in the plants of other simulators."""
 
 SIZE = (0.5, 2.0)
 """Least and greatest multiple of the typical size."""
@@ -49,7 +53,7 @@ SAME_RATIO = frozenset({"mass", "thrust-gain", "inertia"})
 
 @dataclass(frozen=True, kw_only=True)
 class PlannedWorld:
-    """One world of a study. `case` is the kind of thin data, if any."""
+    """One world of a study. `case` is the kind of thin data, if any, `plant` a name in `plants.PLANTS`."""
 
     name: str
     kind_class: Class
@@ -57,6 +61,7 @@ class PlannedWorld:
     seed: int
     turbulence: float
     case: str | None = None
+    plant: str | None = None
 
     @property
     def is_measured(self) -> bool:
@@ -90,15 +95,17 @@ class PlannedWorld:
         return "\n".join(lines) + "\n"
 
 
-def split(count: int) -> dict[Class, int]:
-    """Return the number of worlds of each class: the full study's proportions, at least one each.
+def split(count: int, classes: Sequence[Class] = tuple(FULL)) -> dict[Class, int]:
+    """Return the number of worlds of each of the classes: the full study's proportions, at least one each.
 
     Rounds by largest remainder. Raises StudyError if there are fewer worlds than classes.
     """
-    if count < len(FULL):
-        raise StudyError(f"--worlds {count} is fewer than the {len(FULL)} classes; give {len(FULL)} or more")
-    whole = sum(FULL.values())
-    shares: dict[Class, float] = {name: count * full / whole for name, full in FULL.items()}
+    if count < len(classes):
+        raise StudyError(
+            f"--worlds {count} is fewer than the {len(classes)} classes; give {len(classes)} or more"
+        )
+    whole = sum(FULL[name] for name in classes)
+    shares: dict[Class, float] = {name: count * FULL[name] / whole for name in classes}
     parts: dict[Class, int] = {name: max(1, math.floor(share)) for name, share in shares.items()}
     for name in sorted(shares, key=lambda name: parts[name] - shares[name])[: count - sum(parts.values())]:
         parts[name] += 1
@@ -107,16 +114,21 @@ def split(count: int) -> dict[Class, int]:
     return parts
 
 
-def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[PlannedWorld]:
+def plan_worlds(
+    seed: int, count: int, library: Collection[str], plant: str | None = None
+) -> list[PlannedWorld]:
     """Return the `count` worlds of a seed, shuffled; `library` holds the names of the host's effects.
 
     Kinds marked as outside make worlds outside the library. Kinds in the library are drawn alone, also for
-    thin data, and in pairs; wind is never alone, because it acts through a drag. Raises StudyError if there
-    are fewer worlds than classes.
+    thin data, and in pairs; wind is never alone, because it acts through a drag. In a plant of
+    `plants.PLANTS` there are the classes IN_PLANTS and the kinds that it has. Raises StudyError if there are
+    fewer worlds than classes.
     """
-    parts = split(count)
+    parts = dict.fromkeys(FULL, 0) | split(count, tuple(FULL) if plant is None else IN_PLANTS)
     rng = np.random.default_rng([seed, 0])
     inside = [kind.name for kind in KINDS.values() if not kind.outside and kind.name in library]
+    if plant is not None:
+        inside = [name for name in inside if name in PLANTS[plant].effects]
     alone = [name for name in inside if name != "wind"]
     outside = [kind.name for kind in KINDS.values() if kind.outside]
     sets: dict[Class, list[tuple[str, ...]]] = {
@@ -139,6 +151,7 @@ def plan_worlds(seed: int, count: int, library: Collection[str]) -> list[Planned
             kind_class=drawn[place][0],
             kinds=drawn[place][1],
             case=drawn[place][2],
+            plant=plant,
             seed=world_seed(seed, index),
             turbulence=math.exp(rng.uniform(low, high)),
         )

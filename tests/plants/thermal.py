@@ -110,3 +110,11 @@ class Stub:
 
     def reset(self, p_ned, q_ned_frd):
         pass
+
+
+class Placed(Thermal):
+    """Takes a world, and has none of its effects."""
+
+    def __init__(self, vehicle, options, seed, world):
+        super().__init__(vehicle, options, seed)
+        self.effects = dict(world.effects)

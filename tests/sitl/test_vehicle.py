@@ -14,7 +14,7 @@ from trimtab.host.vehicle import ConfigurationError, load_vehicle
 from trimtab.protocol.blobs import Reference
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, HOST_RADIO, FcStatus, RadioStats
-from trimtab.sitl.foreign import ForeignPlantError
+from trimtab.sitl.foreign import ForeignPlant, ForeignPlantError
 from trimtab.sitl.vehicle import SimulatedVehicle
 
 THERMAL = f"{Path(__file__).parent.parent / 'plants' / 'thermal.py'}:Thermal"
@@ -173,6 +173,24 @@ def test_vehicle_with_contradicting_options_is_refused(arguments: dict, told: st
 def test_foreign_plant_that_takes_no_world_is_refused_in_one() -> None:
     with pytest.raises(ForeignPlantError, match=r"thermal\.py:Thermal takes no world; leave out the world"):
         SimulatedVehicle.create(load_vehicle("research"), world="empty", plant=THERMAL)
+
+
+def test_foreign_plant_in_a_world_gets_it_and_its_cameras_act_it_out(tmp_path: Path) -> None:
+    path = tmp_path / "late.toml"
+    path.write_text(
+        'description = "late and tilted"\ntolerances = false\n[effects.mocap-latency]\nlatency_s = 0.02\n'
+        "[effects.frame-tilt]\ntilt_x = 0.01\ntilt_y = 0.02\n[effects.mass]\nfactor = 1.1\n"
+    )
+    placed = f"{THERMAL.removesuffix('Thermal')}Placed"
+    simulated = SimulatedVehicle.create(load_vehicle("research"), world=str(path), plant=placed)
+    plant = simulated._step_owner
+    assert isinstance(plant, ForeignPlant)
+    assert set(plant._body.effects) == {"mocap-latency", "frame-tilt", "mass"}
+    assert simulated._camera._latency_us == 20_000
+    assert simulated._camera._tilt == (0.01, 0.02)
+    assert simulated.truth()["effects"]["mass"] == {"factor": 1.1}
+    alone = SimulatedVehicle.create(load_vehicle("research"), world_seed=7, plant=THERMAL)
+    assert alone._camera._latency_us == 0.0
 
 
 def test_profile_knows_every_part() -> None:

@@ -1,34 +1,51 @@
 """Plants with the equations of motion of other simulators, for worlds whose physics nobody here wrote.
 
-Nothing outside this package imports these simulators, and only the plants themselves do.
+Nothing outside this package imports these simulators, and here only the modules that PLANTS names.
 """
 
 from __future__ import annotations
 
+import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 
 from trimtab.sitl.kinds import KINDS
+from trimtab.sitl.studies.files import StudyError
 
 
 @dataclass(frozen=True, kw_only=True)
 class LibraryPlant:
-    """A plant of this package: its class as `--plant` takes it, and the distribution that it needs."""
+    """A plant of this package.
+
+    `spec` is what `--plant` takes, `package` what it imports, `effects` the kinds of effect that it can have.
+    """
 
     spec: str
-    distribution: str
+    package: str
+    effects: frozenset[str]
 
 
-def _plant(file: str, class_name: str, distribution: str) -> LibraryPlant:
-    spec = f"{Path(__file__).with_name(file)}:{class_name}"
-    return LibraryPlant(spec=spec, distribution=distribution)
+EFFECTS = frozenset(name for name, kind in KINDS.items() if not kind.outside)
+"""Kinds of effect that plants of this package have in common."""
+
+
+def _plant(package: str, class_name: str) -> LibraryPlant:
+    path = Path(__file__).with_name(f"{package}_plant.py")
+    return LibraryPlant(spec=f"{path}:{class_name}", package=package, effects=EFFECTS)
 
 
 PLANTS = {
-    "crazyflow": _plant("crazyflow_plant.py", "CrazyflowPlant", "crazyflow"),
-    "rotorpy": _plant("rotorpy_plant.py", "RotorPyPlant", "rotorpy"),
+    "crazyflow": _plant("crazyflow", "CrazyflowPlant"),
+    "rotorpy": _plant("rotorpy", "RotorPyPlant"),
 }
 """The plants by name."""
 
-EFFECTS = frozenset(name for name, kind in KINDS.items() if not kind.outside)
-"""Kinds of effect that these plants can have."""
+
+def check_plant(name: str | None) -> None:
+    """Raise StudyError if there is no plant of this name, or its simulator is not installed. None is ours."""
+    if name is None:
+        return
+    if name not in PLANTS:
+        raise StudyError(f"--plant {name}: no such plant (known: {', '.join(PLANTS)}); leave it out for ours")
+    if importlib.util.find_spec(PLANTS[name].package) is None:
+        raise StudyError(f"--plant {name}: {PLANTS[name].package} is not installed; install trimtab[plants]")

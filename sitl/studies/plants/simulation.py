@@ -122,9 +122,7 @@ class SteppedPlant:
         if world is None:
             world = draw_world("quiet", load_world("quiet")[1], 0, vehicle)
         if lacking := [kind for kind in world.effects if kind not in EFFECTS]:
-            raise ValueError(
-                f"it cannot have {', '.join(lacking)}; name others of {', '.join(sorted(EFFECTS))}"
-            )
+            raise ValueError(f"it cannot have {', '.join(lacking)}; choose from {', '.join(sorted(EFFECTS))}")
         P, com = plant_parameters(vehicle, world), _com(world)
         tick = _Tick(equations(craft(vehicle, world)), P, com, vehicle, frozenset(world.effects))
         self._engine = CompiledEngine(sx_function(tick, _INPUTS, _OUTPUTS, "plant"), _INPUTS, _OUTPUTS, "vm")

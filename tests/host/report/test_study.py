@@ -18,6 +18,7 @@ OUTCOME = {
     "answer": {
         "seed": 3,
         "worlds": 4,
+        "plant": "rotor<b>py",
         "by_family": {
             "timing": {"coverage_2sigma": 0.5, "interval": [0.01, 0.99], "n": 2},
             "force": {"coverage_2sigma": None, "interval": None, "n": 0},
@@ -50,7 +51,7 @@ def test_pictures_are_drawn_for_what_was_counted() -> None:
 
 def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere() -> None:
     html = page(OUTCOME, pictures(OUTCOME), {"version": "1"})
-    assert "<title>Blind study of 4 worlds, seed 3 " in html
+    assert "<title>Blind study of 4 worlds in the plant of rotor&lt;b&gt;py, seed 3 " in html
     assert "top-1 &lt;b&gt;" in html
     assert "motor-lag: undecided, motor-lag" in html
     assert "no &lt;i&gt;" in html
