@@ -9,7 +9,6 @@ import importlib.util
 from dataclasses import dataclass
 from pathlib import Path
 
-from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.studies.files import StudyError
 
 
@@ -25,18 +24,42 @@ class LibraryPlant:
     effects: frozenset[str]
 
 
-EFFECTS = frozenset(name for name, kind in KINDS.items() if not kind.outside)
-"""Kinds of effect that plants of this package have in common."""
+EFFECTS = frozenset(
+    {
+        "linear-drag",
+        "quadratic-drag",
+        "wind",
+        "thrust-gain",
+        "battery-sag",
+        "motor-lag",
+        "com-offset",
+        "mocap-latency",
+        "mass",
+        "inertia",
+        "translational-lift",
+        "thrust-inflow",
+        "rotor-loss",
+        "actuation-delay",
+        "frame-tilt",
+        "ground-effect",
+        "gyroscopic",
+        "torque-bias",
+        "slung-payload",
+        "uneven-lag",
+        "dead-zone",
+    }
+)
+"""Kinds of effect that all plants of this package can have. Add a kind here when they act it out."""
 
 
-def _plant(package: str, class_name: str) -> LibraryPlant:
+def _plant(package: str, class_name: str, *others: str) -> LibraryPlant:
     path = Path(__file__).with_name(f"{package}_plant.py")
-    return LibraryPlant(spec=f"{path}:{class_name}", package=package, effects=EFFECTS)
+    return LibraryPlant(spec=f"{path}:{class_name}", package=package, effects=EFFECTS.union(others))
 
 
 PLANTS = {
     "crazyflow": _plant("crazyflow", "CrazyflowPlant"),
-    "rotorpy": _plant("rotorpy", "RotorPyPlant"),
+    "rotorpy": _plant("rotorpy", "RotorPyPlant", "blade-flapping"),
 }
 """The plants by name."""
 

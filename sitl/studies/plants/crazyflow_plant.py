@@ -73,7 +73,7 @@ class _Equations:
             rpm2torque=np.stack([zero, zero, torque], axis=-1),
             mixing_matrix=np.stack([arms[:, 1], -arms[:, 0], -np.array(craft.spins)]),
             drag_matrix=-np.diag(craft.linear_drag),
-            rotor_dyn_coef=np.array([[1.0, 0.0, 1.0, 0.0]]) / craft.motor_lag_s,
+            rotor_dyn_coef=np.array([[1.0 / craft.rise_s, 0.0, 1.0 / craft.fall_s, 0.0]]),
         )
         self._derivative = ca.Function("crazyflow", [state, command], [derivative]).expand()
         self._craft = craft
@@ -128,7 +128,7 @@ class CrazyflowPlant(SteppedPlant):
     def __init__(
         self, vehicle: Vehicle, options: Mapping[str, Any], seed: int, world: World | None = None
     ) -> None:
-        super().__init__(_Equations, vehicle, options, seed, world)
+        super().__init__("crazyflow", _Equations, vehicle, options, seed, world)
 
 
 def _flipped(vector: Vector) -> list[Scalar]:

@@ -3,8 +3,9 @@
 `Multirotor._s_dot_fn` of RotorPy is evaluated once with symbols, and the result is stepped. Its drag, inflow,
 lift and lag are zero or nominal unless the world has them: linear drag across the discs is made at each hub
 and grows with rotor speed (k_d), quadratic drag acts at the centre of mass (c_D), thrust inflow and
-translational lift act at each hub (k_z, k_h). Added are the loss of a rotor, linear drag along z at the
-centre of mass, and the rotors' gyroscopic torque. RotorPy's frames are north-west-up and forward-left-up.
+translational lift act at each hub (k_z, k_h), flapping is k_flap. Added are the loss of a rotor, linear drag
+along z at the centre of mass, the rotors' gyroscopic torque, and a lag of its own for rotors that slow down.
+RotorPy's frames are north-west-up and forward-left-up.
 """
 
 from __future__ import annotations
@@ -13,6 +14,7 @@ from collections.abc import Mapping, Sequence
 from types import FunctionType, SimpleNamespace
 from typing import Any
 
+import casadi as ca
 import numpy as np
 from rotorpy.vehicles import multirotor
 
@@ -51,7 +53,8 @@ class _Multirotor(multirotor.Multirotor):
             "k_h": 0.25 * craft.translational_lift,
             "k_z": 0.25 * craft.thrust_inflow / craft.hover_rad_s,
             **{f"c_D{axis}": craft.quadratic_drag for axis in "xyz"},
-            "tau_m": craft.motor_lag_s,
+            "k_flap": -0.25 * craft.flapping / craft.hover_rad_s,
+            "tau_m": craft.rise_s,
         }
         super().__init__(parameters)
         dx, dy, dz = craft.linear_drag
@@ -84,6 +87,7 @@ class _Equations:
 
     def __init__(self, craft: Craft) -> None:
         self._vehicle = _Multirotor(craft)
+        self._lags_s = craft.rise_s, craft.fall_s
 
     def derivative(
         self,
@@ -105,6 +109,10 @@ class _Equations:
         ])  # fmt: skip
         force_frd = into_body(rotation(body["q_ned_frd"]), force_ned)
         self._vehicle.outside = _objects([*_flipped(force_frd), *_flipped(torque_frd)]).reshape(2, 3)
+        rise_s, fall_s = self._lags_s
+        if rise_s != fall_s:
+            pairs = zip(target, body["speeds"], strict=True)
+            self._vehicle.tau_m = _objects([ca.if_else(new > old, rise_s, fall_s) for new, old in pairs])
         s = _derivative(self._vehicle, 0.0, state, FULL_SPEED_RAD_S * _objects(target))
         x, y, z, w = s[6:10]
         speeds = s[16:20] / FULL_SPEED_RAD_S
@@ -117,7 +125,7 @@ class RotorPyPlant(SteppedPlant):
     def __init__(
         self, vehicle: Vehicle, options: Mapping[str, Any], seed: int, world: World | None = None
     ) -> None:
-        super().__init__(_Equations, vehicle, options, seed, world)
+        super().__init__("rotorpy", _Equations, vehicle, options, seed, world)
 
 
 def _objects(values: Sequence[Scalar]) -> np.ndarray:

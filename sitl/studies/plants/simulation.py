@@ -24,7 +24,7 @@ from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
 from trimtab.sitl.plant_model import TICK_S, Block, battery, cut, next_gust, origin
 from trimtab.sitl.rotors import ground_gain
-from trimtab.sitl.studies.plants import EFFECTS
+from trimtab.sitl.studies.plants import PLANTS
 from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M, floor, payload
 from trimtab.sitl.vectors import Scalar, Vector, add, ahead, cross, dot, into_body, into_world, rotation, unit
 from trimtab.sitl.world import load_world
@@ -58,7 +58,10 @@ class Craft:
     rotor_loss: tuple[float, ...]
     """Lost share of thrust and torque of each rotor."""
     torque_per_thrust_m: float
-    motor_lag_s: float
+    rise_s: float
+    """Time constant of a rotor that speeds up."""
+    fall_s: float
+    """Time constant of a rotor that slows down."""
     hover_rad_s: float
     """Rotor speed at hover of the vehicle in its file."""
     linear_drag: tuple[float, float, float]
@@ -71,6 +74,8 @@ class Craft:
     """N per m/s along the axis, of the vehicle at hover."""
     rotor_inertia_kg_m2: float
     """Of one rotor about its axis."""
+    flapping: float
+    """N m per m/s across the rotors, of the vehicle at hover; positive lifts the side that meets the air."""
 
 
 class Equations(Protocol):
@@ -97,6 +102,8 @@ class SteppedPlant:
 
     Parameters
     ----------
+    name
+        Name in `PLANTS`.
     equations
         Makes the library's equations of a craft.
     options
@@ -106,11 +113,12 @@ class SteppedPlant:
     world
         The world whose effects, deviations and turbulence act. Default: none of them.
 
-    Raises ValueError for options, and for effects that these plants cannot have.
+    Raises ValueError for options, and for effects that the plant cannot have.
     """
 
     def __init__(
         self,
+        name: str,
         equations: Callable[[Craft], Equations],
         vehicle: Vehicle,
         options: Mapping[str, Any],
@@ -121,8 +129,9 @@ class SteppedPlant:
             raise ValueError(f"it takes no options; leave out {', '.join(options)}")
         if world is None:
             world = draw_world("quiet", load_world("quiet")[1], 0, vehicle)
-        if lacking := [kind for kind in world.effects if kind not in EFFECTS]:
-            raise ValueError(f"it cannot have {', '.join(lacking)}; choose from {', '.join(sorted(EFFECTS))}")
+        known = PLANTS[name].effects
+        if lacking := [kind for kind in world.effects if kind not in known]:
+            raise ValueError(f"it cannot have {', '.join(lacking)}; choose from {', '.join(sorted(known))}")
         P, com = plant_parameters(vehicle, world), _com(world)
         tick = _Tick(equations(craft(vehicle, world)), P, com, vehicle, frozenset(world.effects))
         self._engine = CompiledEngine(sx_function(tick, _INPUTS, _OUTPUTS, "plant"), _INPUTS, _OUTPUTS, "vm")
@@ -184,6 +193,8 @@ def craft(vehicle: Vehicle, world: World) -> Craft:
     x, y, z = (j * value("inertia", axis) for j, axis in zip(vehicle.inertia_kg_m2, "xyz", strict=True))
     momentum = value("gyroscopic", "h") * vehicle.inertia_kg_m2[0]
     dx, dy, dz = (mass * value("linear-drag", key) for key in ("dx", "dy", "dz"))
+    lag = vehicle.motor_lag_s + value("motor-lag", "extra_s")
+    ratio = value("uneven-lag", "ratio")
     return Craft(
         mass_kg=mass * value("mass", "factor"),
         inertia_kg_m2=(x, y, z),
@@ -192,13 +203,15 @@ def craft(vehicle: Vehicle, world: World) -> Craft:
         thrust_max_n=vehicle.thrust_max_n * value("thrust-gain", "gain"),
         rotor_loss=tuple(value("rotor-loss", f"loss_{i}") for i in (1, 2, 3, 4)),
         torque_per_thrust_m=vehicle.torque_per_thrust_m,
-        motor_lag_s=vehicle.motor_lag_s + value("motor-lag", "extra_s"),
+        rise_s=2.0 * lag / (1.0 + ratio),
+        fall_s=2.0 * lag * ratio / (1.0 + ratio),
         hover_rad_s=hover,
         linear_drag=(dx, dy, dz),
         quadratic_drag=mass * value("quadratic-drag", "c"),
         translational_lift=mass * value("translational-lift", "k"),
         thrust_inflow=mass * value("thrust-inflow", "k"),
         rotor_inertia_kg_m2=momentum / hover,
+        flapping=value("blade-flapping", "moment") * vehicle.inertia_kg_m2[0],
     )
 
 
@@ -242,8 +255,11 @@ class _Tick:
         return {"state": state, "pose": pose, "sensed": [*w, *self._felt(ops, x, end), voltage]}
 
     def _target(self, ops: Any, command: Vector, voltage: Scalar) -> list[Scalar]:
-        """Return the commanded rotor speeds; at a lower voltage they are lower."""
+        """Return the commanded rotor speeds, which fall with voltage; in a dead zone they are constant."""
         c1, c2 = self._P["thrust_curve"]
+        if "dead-zone" in self._effects:
+            centre, width = self._P["dead_zone"]
+            command = [ops.where(ops.fabs(u - centre) < width, centre, u) for u in command]
         speeds = [ops.sqrt(u * (c1 + c2 * u)) for u in command]
         if "battery-sag" not in self._effects:
             return speeds

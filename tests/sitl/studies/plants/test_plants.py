@@ -18,7 +18,7 @@ from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.foreign import ForeignPlantError, load_foreign_plant
 from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.plant import Plant
-from trimtab.sitl.studies.plants import EFFECTS, PLANTS
+from trimtab.sitl.studies.plants import PLANTS
 from trimtab.sitl.world import Turbulence, load_world
 
 NAMES = sorted(PLANTS)
@@ -190,8 +190,10 @@ FORMS: Mapping[tuple[str, str], float] = {
 """How far a plant may be from ours with the same effect, over the effect, where that is more than usual."""
 
 
-@pytest.mark.parametrize("name", NAMES)
-@pytest.mark.parametrize("kind", sorted(EFFECTS - SENSED - {"wind"}))
+@pytest.mark.parametrize(
+    ("kind", "name"),
+    [(kind, name) for name in NAMES for kind in sorted(PLANTS[name].effects - SENSED - {"wind"})],
+)
 def test_effect_acts_with_the_sign_and_size_that_it_has_in_our_plant(name: str, kind: str) -> None:
     height = 0.35 if kind == "ground-effect" else 20.0
     ours = flown(Plant(VEHICLE, typical(kind), 1), height) - flown(Plant(VEHICLE, QUIET, 1), height)
