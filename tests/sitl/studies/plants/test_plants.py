@@ -18,7 +18,11 @@ from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.foreign import ForeignPlantError, load_foreign_plant
 from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.plant import Plant
+from trimtab.sitl.studies.blind import Task, fly, judge
+from trimtab.sitl.studies.files import Ledger, read_json
+from trimtab.sitl.studies.flights import Programme, plan_references
 from trimtab.sitl.studies.plants import PLANTS
+from trimtab.sitl.studies.worlds import PlannedWorld
 from trimtab.sitl.world import Turbulence, load_world
 
 NAMES = sorted(PLANTS)
@@ -259,3 +263,30 @@ def test_whole_flight_in_a_quiet_world_is_what_the_nominal_model_predicts(name: 
     flight = trimtab.fly(reference, world="quiet", plant=PLANTS[name].spec, log=tmp_path / "a.mcap")
     error_m = trimtab.predict(None, [trimtab.read_flight(flight.log)]).together.position_rmse_m
     assert error_m < 0.003
+
+
+@pytest.mark.full
+def test_world_of_a_study_is_flown_still_and_traced_in_the_plant(
+    tmp_path: Path, short_programme: Programme
+) -> None:
+    references = plan_references(tmp_path, "research", short_programme)
+    world = PlannedWorld(
+        name="0000", kind_class="single", kinds=("thrust-gain",), seed=5, turbulence=1.0, plant="rotorpy"
+    )
+    task = Task(
+        world=world,
+        folder=tmp_path / "worlds" / "0000",
+        references=references,
+        ledger=tmp_path / "ledger.json",
+        vehicle="research",
+        programme=short_programme,
+        with_baselines=False,
+    )
+    Ledger(task.ledger).record("0000", fly(task))
+    assert judge(task) == "traced"
+    score = read_json(task.folder / "score.json")
+    assert score["plant"] == "rotorpy"
+    assert set(score["named"]) <= {"thrust-gain", "mass"}
+    gain = score["true"]["thrust-gain"]["gain"]
+    # RotorPy's thrust coefficient is the gain alone, so the still flights in it give back what was drawn.
+    assert gain == pytest.approx(score["drawn"]["thrust-gain"]["gain"], abs=0.005)
