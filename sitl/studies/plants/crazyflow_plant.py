@@ -20,7 +20,7 @@ import numpy as np
 
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.draw import World
-from trimtab.sitl.studies.plants.simulation import FULL_SPEED_RAD_S, Craft, SteppedPlant
+from trimtab.sitl.studies.plants.simulation import FULL_SPEED_RAD_S, Craft, SteppedPlant, flipped
 from trimtab.sitl.surroundings import GRAVITY_M_S2
 from trimtab.sitl.vectors import Scalar, Vector, add, cross, dot, into_body, into_world, rotation
 
@@ -47,8 +47,6 @@ _ARRAY_API = "SCIPY_ARRAY_API"
 _symbolic_dynamics = _load()
 
 _FULL_RPM = FULL_SPEED_RAD_S * 60.0 / (2.0 * math.pi)
-_FLIP = np.array([1.0, -1.0, -1.0])
-"""FRD to FLU, and NED to NWU; its own inverse."""
 
 
 class _Equations:
@@ -58,7 +56,7 @@ class _Equations:
         thrust = craft.thrust_max_n * (1.0 - np.array(craft.rotor_loss)) / _FULL_RPM**2
         torque = craft.torque_per_thrust_m * thrust
         zero = np.zeros(4)
-        arms = craft.arms_frd * _FLIP
+        arms = np.array([flipped(arm) for arm in craft.arms_frd])
         inertia = np.diag(craft.inertia_kg_m2)
         derivative, state, command, _ = _symbolic_dynamics(
             model_dist_f=True,
@@ -91,18 +89,18 @@ class _Equations:
         flow_ned = [v - u for v, u in zip(body["v_ned"], wind_ned, strict=True)]
         more_force, more_torque = self._more(body, into_body(R, flow_ned))
         state = [
-            *_flipped(body["p_ned"]),
+            *flipped(body["p_ned"]),
             x, -y, -z, w,
-            *_flipped(flow_ned),  # crazyflow knows no wind
-            *_flipped(body["rate_frd"]),
+            *flipped(flow_ned),  # crazyflow knows no wind
+            *flipped(body["rate_frd"]),
             *(_FULL_RPM * n for n in body["speeds"]),
-            *_flipped(add(force_ned, into_world(R, more_force))),
-            *_flipped(into_world(R, add(torque_frd, more_torque))),
+            *flipped(add(force_ned, into_world(R, more_force))),
+            *flipped(into_world(R, add(torque_frd, more_torque))),
         ]  # fmt: skip
         s = ca.vertsplit(self._derivative(ca.vertcat(*state), ca.vertcat(*(_FULL_RPM * n for n in target))))
         x, y, z, w = s[3:7]
         speeds = [n / _FULL_RPM for n in s[13:17]]
-        return [*body["v_ned"], *_flipped(s[7:10]), w, x, -y, -z, *_flipped(s[10:13]), *speeds]
+        return [*body["v_ned"], *flipped(s[7:10]), w, x, -y, -z, *flipped(s[10:13]), *speeds]
 
     def _more(self, body: Mapping[str, Vector], flow: Vector) -> tuple[list[Scalar], list[Scalar]]:
         """Return force and torque, FRD, of the aerodynamics that crazyflow lacks: all but linear drag.
@@ -129,9 +127,3 @@ class CrazyflowPlant(SteppedPlant):
         self, vehicle: Vehicle, options: Mapping[str, Any], seed: int, world: World | None = None
     ) -> None:
         super().__init__("crazyflow", _Equations, vehicle, options, seed, world)
-
-
-def _flipped(vector: Vector) -> list[Scalar]:
-    """Return a vector of FRD in FLU, or of NED in NWU, or back."""
-    x, y, z = vector
-    return [x, -y, -z]

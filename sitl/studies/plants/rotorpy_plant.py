@@ -20,11 +20,8 @@ from rotorpy.vehicles import multirotor
 
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.draw import World
-from trimtab.sitl.studies.plants.simulation import FULL_SPEED_RAD_S, Craft, SteppedPlant
+from trimtab.sitl.studies.plants.simulation import FULL_SPEED_RAD_S, Craft, SteppedPlant, flipped
 from trimtab.sitl.vectors import Scalar, Vector, into_body, rotation
-
-_FLIP = np.array([1.0, -1.0, -1.0])
-"""FRD to FLU, and NED to NWU; its own inverse."""
 
 
 class _Multirotor(multirotor.Multirotor):
@@ -34,7 +31,7 @@ class _Multirotor(multirotor.Multirotor):
         k_eta = craft.thrust_max_n / FULL_SPEED_RAD_S**2
         k_m = craft.torque_per_thrust_m * k_eta
         ixx, iyy, izz = craft.inertia_kg_m2
-        arms = craft.arms_frd * _FLIP
+        arms = np.array([flipped(arm) for arm in craft.arms_frd])
         parameters = {
             "mass": craft.mass_kg,
             "Ixx": ixx,
@@ -100,15 +97,15 @@ class _Equations:
         w, x, y, z = body["q_ned_frd"]
         speeds = [FULL_SPEED_RAD_S * n for n in body["speeds"]]
         state = _objects([
-            *_flipped(body["p_ned"]),
-            *_flipped(body["v_ned"]),
+            *flipped(body["p_ned"]),
+            *flipped(body["v_ned"]),
             x, -y, -z, w,
-            *_flipped(body["rate_frd"]),
-            *_flipped(wind_ned),
+            *flipped(body["rate_frd"]),
+            *flipped(wind_ned),
             *speeds,
         ])  # fmt: skip
         force_frd = into_body(rotation(body["q_ned_frd"]), force_ned)
-        self._vehicle.outside = _objects([*_flipped(force_frd), *_flipped(torque_frd)]).reshape(2, 3)
+        self._vehicle.outside = _objects([*flipped(force_frd), *flipped(torque_frd)]).reshape(2, 3)
         rise_s, fall_s = self._lags_s
         if rise_s != fall_s:
             pairs = zip(target, body["speeds"], strict=True)
@@ -116,7 +113,7 @@ class _Equations:
         s = _derivative(self._vehicle, 0.0, state, FULL_SPEED_RAD_S * _objects(target))
         x, y, z, w = s[6:10]
         speeds = s[16:20] / FULL_SPEED_RAD_S
-        return [*_flipped(s[0:3]), *_flipped(s[3:6]), w, x, -y, -z, *_flipped(s[10:13]), *speeds]
+        return [*flipped(s[0:3]), *flipped(s[3:6]), w, x, -y, -z, *flipped(s[10:13]), *speeds]
 
 
 class RotorPyPlant(SteppedPlant):
@@ -133,12 +130,6 @@ def _objects(values: Sequence[Scalar]) -> np.ndarray:
     array = np.empty(len(values), dtype=object)
     array[:] = list(values)
     return array
-
-
-def _flipped(vector: Sequence[Scalar]) -> list[Scalar]:
-    """Return a vector of FRD in FLU, or of NED in NWU, or back."""
-    x, y, z = vector
-    return [x, -y, -z]
 
 
 class _Symbolic:

@@ -186,6 +186,12 @@ class SteppedPlant:
         return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
 
 
+def flipped(vector: Sequence[Scalar]) -> list[Scalar]:
+    """Return a vector of FRD in forward-left-up, or of NED in north-west-up, or back."""
+    x, y, z = vector
+    return [x, -y, -z]
+
+
 def craft(vehicle: Vehicle, world: World) -> Craft:
     """Return the vehicle with what the world changes in it."""
     value, mass = world.value, vehicle.mass_kg
