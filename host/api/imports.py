@@ -17,7 +17,7 @@ if TYPE_CHECKING:
     from trimtab.host.imports.contents import Topic
     from trimtab.host.imports.formats import FormatName
     from trimtab.host.imports.recording import Cut, Recording
-    from trimtab.host.log import Flight
+    from trimtab.host.log import Flight, Rebuilt
     from trimtab.host.vehicle import Vehicle
 
 
@@ -74,22 +74,33 @@ class ForeignLog:
 class Visible:
     """What a recording does not determine, which effects it cannot show, and what was left out of it.
 
-    invisible_effects: the reason by name. cut: parts that are not traced.
+    invisible_effects: the reason by name. flights_us: begin and end of each time in the air. rebuilt: part of
+    the attitude that was not logged. cut: parts of the flights that are not traced.
     """
 
     unknown: tuple[str, ...] = ()
     invisible_effects: Mapping[str, str]
+    flights_us: tuple[tuple[int, int], ...] = ()
+    rebuilt: Rebuilt | None = None
     skipped_rows: int = 0
     cut: tuple[Cut, ...] = ()
 
     @classmethod
-    def of(cls, recording: Recording, effects: Mapping[str, Effect], motor_lag_s: float) -> Visible:
-        """Return it for a recording of a vehicle with this motor lag, s."""
+    def of(
+        cls,
+        recording: Recording,
+        effects: Mapping[str, Effect],
+        motor_lag_s: float,
+        flights_us: tuple[tuple[int, int], ...],
+    ) -> Visible:
+        """Return it for a recording of a vehicle with this motor lag, s, and these times in the air."""
         from trimtab.host.imports.visibility import invisible_effects, unknown_words
 
         return cls(
             unknown=tuple(unknown_words(recording, motor_lag_s)),
             invisible_effects=invisible_effects(effects, recording, motor_lag_s),
+            flights_us=flights_us,
+            rebuilt=recording.rebuilt,
             skipped_rows=recording.skipped_rows,
             cut=recording.cut,
         )
@@ -99,6 +110,8 @@ class Visible:
         return {
             "unknown": list(self.unknown),
             "invisible_effects": dict(self.invisible_effects),
+            "flights_s": [[begin * 1e-6, end * 1e-6] for begin, end in self.flights_us],
+            "rebuilt": None if self.rebuilt is None else asdict(self.rebuilt),
             "skipped_rows": self.skipped_rows,
             "cut": [[part.begin_us * 1e-6, part.end_us * 1e-6, part.reason] for part in self.cut],
         }
@@ -163,6 +176,7 @@ class Imported:
                 ("vehicle", self.flight.vehicle.name),
                 ("duration", f"{self.flight.duration_s:.2f} s"),
                 ("unknown", ", ".join(self.visible.unknown) or None),
+                ("rebuilt", None if self.visible.rebuilt is None else str(self.visible.rebuilt)),
                 *(("differs", line) for line in self.differing),
             ],
             table(("invisible effect", "reason"), hidden.items()),
@@ -250,7 +264,7 @@ def import_log(  # noqa: PLR0913 (one keyword for each choice)
         messages=messages,
         declared_mass_kg=recording.mass_kg,
         differing=tuple(differing),
-        visible=Visible.of(shown, load_effects(), airframe.motor_lag_s),
+        visible=Visible.of(shown, load_effects(), airframe.motor_lag_s, flight.tracking_parts),
     )
 
 

@@ -1,8 +1,9 @@
-"""Detection of the time that a foreign vehicle was airborne, from its poses and any recorded inputs."""
+"""Detection of the times that a foreign vehicle was airborne, from its poses and any recorded inputs."""
 
 from __future__ import annotations
 
 from itertools import pairwise
+from typing import Annotated
 
 import numpy as np
 
@@ -24,21 +25,21 @@ _REST_M = 0.02
 _POWERED = 0.3
 
 
-def airborne(recording: Recording) -> tuple[int, int]:
-    """Return begin and end, us, of the longest time in the air.
+def airborne(recording: Recording) -> tuple[tuple[int, int], ...]:
+    """Return begin and end, us, of each time in the air of at least two seconds, in order.
 
     The ground is the lowest height, provided that the vehicle rests there with its motors off. A log in which
-    it never does counts as airborne throughout. Raises TooShort if less than two seconds remain.
+    it never does counts as airborne throughout. Where the vehicle was not seen for `UNSEEN_US`, only the side
+    with the longest time in the air counts. Raises TooShort if no time in the air lasts two seconds.
     """
     t_us = recording.pose_us
     height = -recording.p_ned[:, 2]
-    floor = float(np.quantile(height, 0.01))
     powered = _powered(recording)
     if powered is not None and not powered.any():
         raise TooShort(f"{recording.source}: the motors never run; import a log of a flight")
     flying = np.ones(len(t_us), dtype=bool) if powered is None else powered
-    if _grounded(recording, height, floor, powered):
-        flying = flying & (height > floor + CLEAR_M)
+    if _grounded(recording, height, ground_height(height), powered):
+        flying = flying & above_ground(height)
     spans = [
         (
             int(t_us[a]) + (EDGE_US if a > 0 else 0),
@@ -52,7 +53,28 @@ def airborne(recording: Recording) -> tuple[int, int]:
             f"{recording.source}: airborne for {max(end - begin, 0) * 1e-6:.1f} s, but "
             f"{SHORTEST_US * 1e-6:g} s are needed; import a longer flight"
         )
-    return begin, end
+    unseen_us = t_us[np.flatnonzero(np.diff(t_us) > UNSEEN_US)]
+    side = np.searchsorted(unseen_us, begin)
+    return tuple((a, b) for a, b in spans if b - a >= SHORTEST_US and np.searchsorted(unseen_us, a) == side)
+
+
+def ground_height(height: Annotated[np.ndarray, "poses"]) -> float:
+    """Return the lowest height, m, that is more than a stray pose."""
+    return float(np.quantile(height, 0.01))
+
+
+def above_ground(height: Annotated[np.ndarray, "poses"]) -> Annotated[np.ndarray, "poses"]:
+    """Return the mask of the heights, m, at which a vehicle is clear of the lowest one."""
+    return height > ground_height(height) + CLEAR_M
+
+
+def far_from_ground(
+    t_us: Annotated[np.ndarray, "poses"], height: Annotated[np.ndarray, "poses"]
+) -> Annotated[np.ndarray, "poses"]:
+    """Return the mask of the times at which a vehicle is clear of the ground and no landing is near."""
+    low_us = np.concatenate([[-np.inf], t_us[~above_ground(height)], [np.inf]])
+    after = np.searchsorted(low_us, t_us)
+    return np.minimum(t_us - low_us[after - 1], low_us[after] - t_us) > EDGE_US
 
 
 def _runs(flying: np.ndarray, t_us: np.ndarray) -> list[tuple[int, int]]:

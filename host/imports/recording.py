@@ -11,6 +11,7 @@ from typing import Annotated, Literal, get_args
 import numpy as np
 
 from trimtab.host.base.errors import TrimtabError
+from trimtab.host.log import Rebuilt
 
 Unknown = Literal[
     "thrust-curve", "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency"
@@ -97,6 +98,8 @@ class Recording:
         Time 0 on the source's own clock; Unix time if the source has that. None if it has no clock.
     unknown
         Properties that the recording does not determine.
+    rebuilt
+        Part of the attitude that the reader rebuilt; None if the attitude was measured.
     cut
         Parts that the reader left out.
     skipped_rows
@@ -124,6 +127,7 @@ class Recording:
     a_ref_ned: Annotated[np.ndarray, "references 3"] | None = None
     mass_kg: float | None = None
     epoch_us: int | None = None
+    rebuilt: Rebuilt | None = None
     cut: tuple[Cut, ...] = ()
     skipped_rows: int = 0
 

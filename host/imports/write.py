@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
 
 from trimtab.host.imports.airborne import airborne
-from trimtab.host.imports.plausible import consistent_span
+from trimtab.host.imports.plausible import consistent_parts
 from trimtab.host.imports.recording import Cut, Recording, corner_of
 from trimtab.host.log import Battery, Mocap, RecordedImu, RecordedInputs, write_imported
 from trimtab.host.vehicle import ConfigurationError, Vehicle
@@ -28,15 +29,18 @@ def write(
     format: str,
     provenance: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, int], tuple[Cut, ...]]:
-    """Write the log at `path`; return its number of messages by topic, and what is not traced.
+    """Write the log at `path`; return its number of messages by topic, and what was cut from its flights.
 
-    The tracking phase is the longest consistent time in the air. The vehicle gets the mass that the recording
-    declares. `provenance` holds further entries for the log. Raises ImportFormatError if the recording is
-    never airborne or inconsistent, and ConfigurationError if the vehicle cannot be the recorded one.
+    The tracking phase is the time in the air, with the landings between several flights left out. The vehicle
+    gets the mass that the recording declares. `provenance` holds further entries for the log. Raises
+    ImportFormatError if the recording is never airborne or inconsistent, and ConfigurationError if the
+    vehicle cannot be the recorded one.
     """
     r = recording
-    tracking_us, cut = consistent_span(r, airborne(r))
+    parts_us, cut = consistent_parts(r, airborne(r))
     origin = {"source_format": format, "source_file": r.source, "unknown": " ".join(r.unknown)}
+    if r.rebuilt is not None:
+        origin |= r.rebuilt.metadata()
     if r.epoch_us is not None:
         origin["epoch_us"] = str(r.epoch_us)
     counts = write_imported(
@@ -50,7 +54,8 @@ def write(
         battery=None
         if r.battery_us is None or r.battery_v is None
         else Battery(t_us=r.battery_us, battery_v=r.battery_v),
-        tracking_us=tracking_us,
+        tracking_us=(parts_us[0][0], parts_us[-1][1]),
+        unused_us=[(a[1], b[0]) for a, b in pairwise(parts_us)],
         session={**origin, **(provenance or {})},
     )
     return counts, (*r.cut, *cut)

@@ -7,6 +7,7 @@ from trimtab.host.log.imported import write_imported
 from trimtab.host.log.info import to_lines
 from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import Provenance
+from trimtab.host.log.rebuilt import Rebuilt
 from trimtab.host.log.recover import Recovery, recover
 from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
 from trimtab.host.log.tracks import (
@@ -40,6 +41,7 @@ __all__ = [
     "Mocap",
     "Observer",
     "Provenance",
+    "Rebuilt",
     "RecordedImu",
     "RecordedInputs",
     "Recovery",

@@ -27,6 +27,7 @@ from trimtab.host.log.provenance import (
     PROVENANCE,
     REFERENCE_FILE,
     THEN_FILE,
+    UNUSED,
     VEHICLE_FILE,
 )
 from trimtab.host.log.read_topics import (
@@ -42,6 +43,7 @@ from trimtab.host.log.read_topics import (
     read_observer,
     read_status,
 )
+from trimtab.host.log.rebuilt import rebuilt_of
 from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
 from trimtab.host.log.tracks import (
     HostControl,
@@ -167,11 +169,19 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         battery=read_battery(entries, status),
         tracking=tracking,
         tracking_whole=whole,
+        unused=_unused(metadata),
+        rebuilt=rebuilt_of(metadata),
         failsafe=failsafe_name(max((message.failsafe for _, message in statuses), default=0)),
         duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
         contents=LogContents.of(records),
         host_control=host_control,
     )
+
+
+def _unused(metadata: Mapping[str, str]) -> tuple[tuple[int, int], ...]:
+    """Return the parts of an import's tracking phase that are not used, us."""
+    edges = [int(edge) for edge in metadata.get(UNUSED, "").split()]
+    return tuple(zip(edges[::2], edges[1::2], strict=True))
 
 
 def _check_ids(attached: Mapping[str, bytes], metadata: Mapping[str, str], vehicle_id: str) -> None:

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +11,7 @@ import numpy as np
 
 from trimtab.host.log import topics
 from trimtab.host.log.display import PERIOD_US
-from trimtab.host.log.provenance import Provenance
+from trimtab.host.log.provenance import UNUSED, Provenance
 from trimtab.host.log.tracks import Battery, Mocap, RecordedImu, RecordedInputs
 from trimtab.host.log.writer import LogWriter
 from trimtab.host.vehicle import Vehicle
@@ -20,7 +21,7 @@ _Row = tuple[int, int, str, Any]
 """Log time, publish time (us), topic and message."""
 
 
-def write_imported(
+def write_imported(  # noqa: PLR0913 (one keyword for each topic)
     path: Path,
     *,
     vehicle: Vehicle,
@@ -29,13 +30,15 @@ def write_imported(
     imu: RecordedImu | None = None,
     battery: Battery | None = None,
     tracking_us: tuple[int, int] | None = None,
+    unused_us: Sequence[tuple[int, int]] = (),
     session: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
     """Write the log at `path`; return the number of messages of each topic.
 
     All times are non-negative us from the flight's first sample, on one clock. `tracking_us` is the interval
-    that learning and tracing use; by default it spans all poses. `session` is the origin of the data, for the
-    log's provenance.
+    that learning and tracing use; by default it spans all poses. `unused_us` holds the parts of it, in
+    order, that are not used: the time on the ground between two flights. `session` is the origin of the data,
+    for the log's provenance.
     """
     start_us, end_us = tracking_us or (int(mocap.t_us[0]), int(mocap.t_us[-1]))
     if not 0 <= start_us < end_us:
@@ -44,6 +47,11 @@ def write_imported(
     if first_us < 0:
         raise ValueError(f"a sample lies {-first_us} us before the start; shift the times")
     metadata = {**(session or {}), "tracking_us": f"{start_us} {end_us}"}
+    edges_us = [start_us, *(edge for part in unused_us for edge in part), end_us]
+    if any(a >= b for a, b in pairwise(edges_us)):
+        raise ValueError(f"{unused_us} are not parts, in order, of tracking from {start_us} to {end_us} us")
+    if unused_us:
+        metadata[UNUSED] = " ".join(str(edge) for edge in edges_us[1:-1])
     if inputs is not None:
         metadata["input_level"] = inputs.level
     rows = [*_poses(mocap), *_inputs(inputs), *_imu(imu), *_battery(battery)]

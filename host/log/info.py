@@ -9,6 +9,7 @@ from trimtab.host.base.card import card, table
 from trimtab.host.log import control_report, link_report
 from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import is_simulated
+from trimtab.host.log.rebuilt import Rebuilt
 from trimtab.host.log.topics import MOCAP_POSE
 from trimtab.host.log.tracking import feedforward_faded_s
 from trimtab.host.log.tracks import FAILSAFE_WORDS
@@ -28,6 +29,8 @@ def describe(flight: Flight) -> dict[str, Any]:
         "feedforward": None if flight.feedforward is None else flight.feedforward.id,
         "feedforward_faded_s": feedforward_faded_s(flight),
         "tracking_s": None if tracking is None else [tracking[0] * 1e-6, tracking[1] * 1e-6],
+        "unused_s": [[a * 1e-6, b * 1e-6] for a, b in flight.unused],
+        "rebuilt": None if flight.rebuilt is None else asdict(flight.rebuilt),
         "tracking_whole": flight.tracking_whole,
         "failsafe": flight.failsafe,
         "link": link_report.link_report(flight) if flight.kind == "flight" else None,
@@ -51,6 +54,9 @@ def to_lines(info: dict[str, Any]) -> list[str]:
     else:
         whole = "" if info["tracking_whole"] else ", cut short"
         lines.append(f"tracking from {tracking[0]:.2f} to {tracking[1]:.2f} s{whole}")
+    lines += [f"not used from {a:.2f} to {b:.2f} s" for a, b in info["unused_s"]]
+    if info["rebuilt"] is not None:
+        lines.append(f"rebuilt by the import: {Rebuilt(**info['rebuilt'])}")
     if info["feedforward"] is not None:
         faded_s = info["feedforward_faded_s"]
         faded = f", faded for {faded_s:.1f} s beyond its region" if faded_s else ""

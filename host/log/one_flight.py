@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.log.contents import LogContents
+from trimtab.host.log.rebuilt import Rebuilt
 from trimtab.host.log.tracks import (
     Battery,
     Control,
@@ -52,6 +53,11 @@ class Flight:
         Start and end of the interval that learning and errors use, us.
     tracking_whole
         Whether the reference was flown to its end. Always True for an import.
+    unused
+        Begin and end of each part of `tracking` that is not used, us: the time on the ground between several
+        flights in one imported log. Empty otherwise.
+    rebuilt
+        Part of the attitude in `mocap` that an import rebuilt; None if all was measured.
     failsafe
         Name of the failsafe that ended the flight: a key of FAILSAFE_WORDS.
     duration_s
@@ -86,6 +92,16 @@ class Flight:
     duration_s: float
     contents: LogContents
     host_control: HostControl | None = None
+    unused: tuple[tuple[int, int], ...] = ()
+    rebuilt: Rebuilt | None = None
+
+    @property
+    def tracking_parts(self) -> tuple[tuple[int, int], ...]:
+        """Begin and end of each part of the tracking phase that is used, us."""
+        if self.tracking is None:
+            return ()
+        edges = [self.tracking[0], *(edge for part in self.unused for edge in part), self.tracking[1]]
+        return tuple(zip(edges[::2], edges[1::2], strict=True))
 
     @property
     def flown_by_own_law(self) -> bool:

@@ -21,13 +21,16 @@ if TYPE_CHECKING:
 def check_flight(flight: Flight, vehicle: Vehicle | None = None, rules: Rules = RULES) -> Check:
     """Return how a vehicle file fits a flight; by default the file in its log.
 
+    Of a log with several flights, the longest is checked.
+
     Raises UsageError if the log has less than two seconds in the air with inputs, rates and forces.
     """
     chosen = vehicle or flight.vehicle
     tracks = flight_tracks(flight)
     moved = None
-    if tracks is not None and flight.tracking is not None:
-        moved = motion(tracks, chosen, flight.tracking)
+    if tracks is not None and flight.tracking_parts:
+        longest = max(flight.tracking_parts, key=lambda part: part[1] - part[0])
+        moved = motion(tracks, chosen, longest)
     thrust = None if moved is None else thrust_figures(moved, chosen.mass_kg)
     torque = None if moved is None else torque_figures(moved, chosen)
     if tracks is None or moved is None or (thrust is None and torque is None):

@@ -93,7 +93,7 @@ def _look(given: ForeignLog) -> dict[str, Any]:
     from trimtab.host.effects import load_effects
     from trimtab.host.imports.airborne import airborne
     from trimtab.host.imports.formats import LOGGING_PROFILES, module
-    from trimtab.host.imports.plausible import consistent_span
+    from trimtab.host.imports.plausible import consistent_parts
     from trimtab.host.imports.recording import ImportFormatError
     from trimtab.host.imports.visibility import TYPICAL_LAG_S
 
@@ -110,9 +110,9 @@ def _look(given: ForeignLog) -> dict[str, Any]:
     else:
         try:
             recording = given.read()
-            _, cut = consistent_span(recording, airborne(recording))
+            flights_us, cut = consistent_parts(recording, airborne(recording))
             recording = replace(recording, cut=(*recording.cut, *cut))
-            visible = Visible.of(recording, effects, TYPICAL_LAG_S)
+            visible = Visible.of(recording, effects, TYPICAL_LAG_S, flights_us)
         except ImportFormatError as error:
             problem = str(error)
     if problem is None:
@@ -133,10 +133,15 @@ def _look(given: ForeignLog) -> dict[str, Any]:
 
 
 def _print_visible(visible: Visible) -> None:
-    """Print what a log does not determine, which effects it cannot show, and what was cut."""
+    """Print its flights, what it does not determine, which effects it cannot show, and what was cut."""
     from trimtab.host.base.output import say
 
     hidden = visible.invisible_effects
+    if len(visible.flights_us) > 1:
+        times = ", ".join(f"{a * 1e-6:.2f} to {b * 1e-6:.2f} s" for a, b in visible.flights_us)
+        say(f"{len(visible.flights_us)} flights: {times}")
+    if visible.rebuilt is not None:
+        say(f"rebuilt, since it was not logged: {visible.rebuilt}")
     if visible.unknown:
         say(f"unknown: {', '.join(visible.unknown)}")
     for reason in dict.fromkeys(hidden.values()):

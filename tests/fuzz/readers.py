@@ -36,7 +36,7 @@ from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.formats import FormatName
-from trimtab.host.imports.plausible import consistent_span
+from trimtab.host.imports.plausible import consistent_parts
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.sitl.studies.fuzz.mutations import mutated_file, mutated_text
 
@@ -379,7 +379,7 @@ def give(reader: Reader, data: Input, folder: Path, *, contents: bool) -> Outcom
             held = _refused(lambda: formats.module(reader.format).contents(path), path) if contents else None
             recording = _refused(lambda: formats.read(reader.format, path, columns, topics), path, map_path)
             if recording is not None:
-                _refused(lambda: consistent_span(recording, airborne(recording)), path, lines=True)
+                _refused(lambda: consistent_parts(recording, airborne(recording)), path, lines=True)
         finally:
             signal.setitimer(signal.ITIMER_PROF, 0.0)
     if warned:

@@ -14,7 +14,12 @@ from pathlib import Path
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from trimtab.host.imports.attitude import pitch_from_positions
+from trimtab.host.imports.airborne import far_from_ground
+from trimtab.host.imports.attitude import (
+    acceleration_of_positions,
+    averaged_acceleration,
+    pitch_from_acceleration,
+)
 from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.formats.nanobench import CORNERS, PWM_MAX, STANDARD_GRAVITY
 from trimtab.host.imports.formats.nanobench import UNKNOWN as UNKNOWN_OF_MOTORS
@@ -31,6 +36,7 @@ from trimtab.host.imports.recording import (
     since_first_us,
 )
 from trimtab.host.imports.tracks import Track
+from trimtab.host.log import Rebuilt
 
 UNKNOWN: tuple[Unknown, ...] = (
     "motor-lag", "mounting-tilt", "frame-tilt", "inertia", "torque", "pose-latency",
@@ -73,6 +79,9 @@ EULER = (
     ),
 )
 ROLL_AND_YAW = (Source(variables=("stateEstimate.roll", "stateEstimate.yaw"), factors=(DEG, DEG)),)
+ACCELERATION = (_vector("stateEstimate.a", factor=STANDARD_GRAVITY),)
+"""The accelerometer's, turned into the world by the on-board filter, without gravity."""
+
 RATE = (_vector("ctrlLee.omega"), _vector("gyro.", factor=DEG))
 FORCE = (_vector("acc.", factor=STANDARD_GRAVITY),)
 THRUST = (Source(variables=("ctrlLee.thrustSI",), factors=(1.0,)),)
@@ -116,7 +125,7 @@ def read(path: Path | str) -> Recording:
     path = Path(path)
     log = _Log(_events(path), path.name)
     position = log.needed(POSITION)
-    attitude, turn = _attitude(log, position)
+    attitude, turn, rebuilt = _attitude(log, position)
     new = fresh(position.values, attitude)
     if new.sum() < 2:
         raise ImportFormatError(f"{path.name}: the pose never changes; is a position estimate running?")
@@ -156,6 +165,7 @@ def read(path: Path | str) -> Recording:
         v_ref_ned=in_world(target_rate),
         mass_kg=_declared_mass(path),
         epoch_us=log.epoch_us,
+        rebuilt=rebuilt,
         unknown=UNKNOWN if motors is None else UNKNOWN_OF_MOTORS,
     )
 
@@ -167,28 +177,36 @@ def _events(path: Path) -> tuple[Event, ...]:
     return decode(data, path.name)
 
 
-def _attitude(log: _Log, position: Track) -> tuple[np.ndarray, Rotation]:
+def _attitude(log: _Log, position: Track) -> tuple[np.ndarray, Rotation, Rebuilt | None]:
     """Return the attitude at each position, as in the log and as rotations from FLU to NWU.
 
-    A log with roll and yaw alone gets its pitch from the positions.
+    A log with roll and yaw alone gets its pitch from its accelerations or, without them, from the positions.
     """
     t_us = position.t_us
     euler, quaternion = log.track(EULER), log.track(QUATERNION)
     if euler is not None:
         angles = euler.at(t_us)
-        return angles, turn_from_euler(angles)
+        return angles, turn_from_euler(angles), None
     if quaternion is not None:
         q = quaternion.at(t_us)
         try:
-            return q, turn_from_quaternion(q, scalar_first=True)
+            return q, turn_from_quaternion(q, scalar_first=True), None
         except ValueError as error:
             raise ImportFormatError(f"{log.name}: {error}; remove or correct that row") from None
     partly = log.track(ROLL_AND_YAW)
     if partly is None:
         raise log.missing(EULER)
     roll, yaw = partly.at(t_us).T
-    angles = np.column_stack([roll, pitch_from_positions(t_us * 1e-6, position.values, yaw), yaw])
-    return angles, turn_from_euler(angles)
+    t_s, acceleration = t_us * 1e-6, log.track(ACCELERATION)
+    if acceleration is None:
+        a_nwu = acceleration_of_positions(t_s, position.values)
+    else:
+        a_nwu = averaged_acceleration(t_s, acceleration.at(t_us))
+    flying = far_from_ground(t_us, position.values[:, 2])
+    pitch, sd_rad = pitch_from_acceleration(a_nwu, roll, yaw, flying)
+    angles = np.column_stack([roll, pitch, yaw])
+    source = "positions" if acceleration is None else "accelerations"
+    return angles, turn_from_euler(angles), Rebuilt(part="pitch", source=source, sd_rad=sd_rad)
 
 
 class _Log:

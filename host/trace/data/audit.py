@@ -74,7 +74,9 @@ def audit(data: FlightData) -> Audit:
     """Return the audit of the tracking phase of a flight."""
     flight, s = data.flight, data.signals
     rates = _rates(flight, s.span_s)
-    stretches = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
+    landed = [clipped_stretch(s, a * 1e-6, b * 1e-6, Code.GROUND_CONTACT) for a, b in flight.unused]
+    measured = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
+    stretches = [*landed, *(each for each in measured if not _is_inside(each, landed))]
     inside = within(s.pose_s, s.span_s)
     return Audit(
         log=flight.path.name,
@@ -85,6 +87,11 @@ def audit(data: FlightData) -> Audit:
         ),
         findings=(*_sampling(flight, rates), *_clocks(flight, s), *_saturated_share(flight, s)),
     )
+
+
+def _is_inside(stretch: UnusedStretch, others: Sequence[UnusedStretch]) -> bool:
+    """Return whether one of the others covers the stretch."""
+    return any(each.start_s <= stretch.start_s and stretch.end_s <= each.end_s for each in others)
 
 
 def with_missing_repeats(

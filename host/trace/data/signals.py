@@ -41,6 +41,8 @@ class Signals:
         Times, and battery voltage over full voltage.
     span_s
         Begin and end of the tracking phase.
+    rebuilt_sd
+        Standard deviation, rad, of the part of the attitude that an import rebuilt; 0 if all was measured.
     """
 
     pose_s: Annotated[np.ndarray, "poses"]
@@ -55,6 +57,7 @@ class Signals:
     voltage_s: Annotated[np.ndarray, "voltages"]
     voltage_ratio: Annotated[np.ndarray, "voltages"]
     span_s: tuple[float, float]
+    rebuilt_sd: float = 0.0
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -140,6 +143,7 @@ def signals(flight: Flight) -> Signals:
         voltage_s=voltage_s,
         voltage_ratio=voltage_ratio,
         span_s=span_s,
+        rebuilt_sd=0.0 if flight.rebuilt is None else flight.rebuilt.sd_rad,
     )
 
 
@@ -207,7 +211,8 @@ def local_quadratics(
 def noise(s: Signals) -> Annotated[np.ndarray, "4"]:
     """Return the noise of position (m), attitude (rad), body rate (rad/s) and specific force (m/s^2).
 
-    Standard deviations come from third differences of the signals, but are at least the floors of RULES.
+    Standard deviations come from third differences of the signals, but are at least the floors of RULES. That
+    of the attitude is at least the error of a part that was rebuilt, which is too smooth to show it.
     """
     inside = (s.pose_s >= s.span_s[0]) & (s.pose_s <= s.span_s[1])
     attitude = Rotation.from_matrix(s.R_ned_frd[inside])
@@ -223,7 +228,7 @@ def noise(s: Signals) -> Annotated[np.ndarray, "4"]:
     )
     floor = (
         RULES.position_sigma_floor_m,
-        RULES.attitude_sigma_floor_rad,
+        max(RULES.attitude_sigma_floor_rad, s.rebuilt_sd),
         RULES.rate_sigma_floor_rad_s,
         RULES.force_sigma_floor_m_s2,
     )

@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.formats import FormatName, crazyflie_usd, nanobench
-from trimtab.host.imports.plausible import consistent_span
+from trimtab.host.imports.plausible import consistent_parts
 from trimtab.host.vehicle import ConfigurationError
 
 USD_VARIABLES = tuple(
@@ -47,7 +47,7 @@ def refused_or_read(format: FormatName, path: Path, columns: Path | None = None)
     """Reads the file and looks at it as an import does."""
     try:
         found = formats.read(format, path, columns)
-        consistent_span(found, airborne(found))
+        consistent_parts(found, airborne(found))
     except ImportFormatError as error:
         assert str(error)  # noqa: PT017 (either outcome is good)
 

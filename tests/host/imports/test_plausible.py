@@ -14,7 +14,7 @@ from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError, Recording
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned
-from trimtab.host.imports.plausible import consistent_span
+from trimtab.host.imports.plausible import consistent_parts
 
 
 def read_as(flight: Any, world: World, body: Body) -> Recording:
@@ -43,7 +43,7 @@ def test_flight_in_its_own_axes_agrees_with_itself(
     made_up: Any, foreign: SimpleNamespace, world: World, body: Body
 ) -> None:
     found = read_as(foreign.in_axes(made_up, world, body), world, body)
-    consistent_span(found, airborne(found))
+    consistent_parts(found, airborne(found))
 
 
 @pytest.mark.parametrize(("world", "body"), AXES)
@@ -54,14 +54,14 @@ def test_flight_read_in_other_axes_is_refused_where_it_shows(
     found = read_as(foreign.in_axes(made_up, world, body), as_world, as_body)
     up = "ned" in (world, as_world) and world != as_world
     if (world, body) == (as_world, as_body):
-        consistent_span(found, SPAN_US)
+        consistent_parts(found, (SPAN_US,))
         return
     if body == as_body and not up:
         # East-north-up read as north-west-up is the same flight seen from another side: nothing can show it.
-        consistent_span(found, SPAN_US)
+        consistent_parts(found, (SPAN_US,))
         return
     with pytest.raises(ImportFormatError) as caught:
-        consistent_span(found, SPAN_US)
+        consistent_parts(found, (SPAN_US,))
     assert "check" in str(caught.value)
 
 
@@ -85,20 +85,20 @@ def test_value_in_another_unit_is_refused(made_up: Any, changes: dict[str, float
     else:
         found = replace(found, **{name: getattr(found, name) * by for name, by in changes.items()})
     with pytest.raises(ImportFormatError, match=said):
-        consistent_span(found, span)
+        consistent_parts(found, (span,))
 
 
 def test_positions_mirrored_against_the_attitude_are_refused(made_up: Any) -> None:
     found = read_as(made_up, "ned", "frd")
     with pytest.raises(ImportFormatError, match="acceleration east"):
-        consistent_span(replace(found, p_ned=found.p_ned * [1.0, -1.0, 1.0]), SPAN_US)
+        consistent_parts(replace(found, p_ned=found.p_ned * [1.0, -1.0, 1.0]), (SPAN_US,))
 
 
 def test_positions_in_a_room_turned_against_the_attitude_are_refused(made_up: Any) -> None:
     found = read_as(made_up, "ned", "frd")
     quarter = Rotation.from_rotvec([0.0, 0.0, np.pi / 2])
     with pytest.raises(ImportFormatError, match="acceleration north"):
-        consistent_span(replace(found, p_ned=quarter.apply(found.p_ned)), SPAN_US)
+        consistent_parts(replace(found, p_ned=quarter.apply(found.p_ned)), (SPAN_US,))
 
 
 def test_noise_tilted_markers_and_late_poses_pass(made_up: Any) -> None:
@@ -110,7 +110,7 @@ def test_noise_tilted_markers_and_late_poses_pass(made_up: Any) -> None:
         * Rotation.from_quat(found.q_ned_frd, scalar_first=True)
         * Rotation.from_rotvec([0.07, -0.05, 0.03])
     )
-    consistent_span(
+    consistent_parts(
         replace(
             found,
             pose_us=found.pose_us + 20_000,
@@ -119,7 +119,7 @@ def test_noise_tilted_markers_and_late_poses_pass(made_up: Any) -> None:
             gyro=not_none(found.gyro) + rng.normal(0.05, 0.05, size),
             specific_force=not_none(found.specific_force) + rng.normal(0.3, 1.0, size),
         ),
-        SPAN_US,
+        (SPAN_US,),
     )
 
 
@@ -127,7 +127,7 @@ def test_hover_has_nothing_to_compare_and_passes() -> None:
     t_us = np.arange(0, 5_000_000, 10_000, dtype=np.int64)
     rng = np.random.default_rng(3)
     n = len(t_us)
-    consistent_span(
+    consistent_parts(
         Recording(
             source="log",
             pose_us=t_us,
@@ -137,7 +137,7 @@ def test_hover_has_nothing_to_compare_and_passes() -> None:
             imu_us=t_us,
             gyro=rng.normal(0.0, 0.02, (n, 3)),
         ),
-        (0, int(t_us[-1])),
+        ((0, int(t_us[-1])),),
     )
 
 
@@ -147,7 +147,7 @@ def test_gap_is_a_gap(made_up: Any) -> None:
     dropped = replace(
         found, pose_us=found.pose_us[kept], p_ned=found.p_ned[kept], q_ned_frd=found.q_ned_frd[kept]
     )
-    assert consistent_span(dropped, SPAN_US) == (SPAN_US, ())
+    assert consistent_parts(dropped, (SPAN_US,)) == ((SPAN_US,), ())
 
 
 def test_part_that_contradicts_the_rest_is_cut(made_up: Any) -> None:
@@ -155,7 +155,7 @@ def test_part_that_contradicts_the_rest_is_cut(made_up: Any) -> None:
     lost = found.pose_us > 7_500_000
     p = found.p_ned.copy()
     p[lost] += np.random.default_rng(5).normal(0.0, 0.5, (int(lost.sum()), 3)).cumsum(axis=0)
-    span, (cut,) = consistent_span(replace(found, p_ned=p), SPAN_US)
+    (span,), (cut,) = consistent_parts(replace(found, p_ned=p), (SPAN_US,))
     assert span[0] == SPAN_US[0]
     assert 4_000_000 <= span[1] <= 7_600_000
     assert (cut.begin_us, cut.end_us) == (span[1], SPAN_US[1])
@@ -170,4 +170,25 @@ def test_part_that_shows_nothing_is_no_reason_to_trust_the_axes(made_up: Any) ->
     gyro = not_none(found.gyro).copy()
     gyro[still] = 0.0
     with pytest.raises(ImportFormatError, match="acceleration east"):
-        consistent_span(replace(found, p_ned=p, q_ned_frd=q, gyro=gyro, specific_force=None), SPAN_US)
+        consistent_parts(replace(found, p_ned=p, q_ned_frd=q, gyro=gyro, specific_force=None), (SPAN_US,))
+
+
+def test_noise_of_positions_does_not_hide_that_the_attitude_fits(made_up: Any) -> None:
+    found = read_as(made_up, "ned", "frd")
+    noisy = found.p_ned + np.random.default_rng(7).normal(0.0, 0.03, found.p_ned.shape)
+    assert consistent_parts(replace(found, p_ned=noisy), (SPAN_US,)) == ((SPAN_US,), ())
+    with pytest.raises(ImportFormatError, match="acceleration east"):
+        consistent_parts(replace(found, p_ned=noisy * [1.0, -1.0, 1.0]), (SPAN_US,))
+
+
+def test_flight_that_contradicts_itself_is_cut_beside_one_that_shows_the_axes(made_up: Any) -> None:
+    found = read_as(made_up, "ned", "frd")
+    good, bad = (2_000_000, 6_000_000), (6_500_000, 10_500_000)
+    lost = found.pose_us > bad[0]
+    p = found.p_ned.copy()
+    p[lost] += np.random.default_rng(5).normal(0.0, 0.5, (int(lost.sum()), 3)).cumsum(axis=0)
+    parts, (cut,) = consistent_parts(replace(found, p_ned=p), (good, bad))
+    assert parts == (good,)
+    assert (cut.begin_us, cut.end_us) == bad
+    with pytest.raises(ImportFormatError, match="acceleration"):
+        consistent_parts(replace(found, p_ned=p), (bad,))

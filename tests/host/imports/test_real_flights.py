@@ -18,6 +18,8 @@ from trimtab.host.effects import load_effects
 from trimtab.host.imports.formats import FormatName, read
 from trimtab.host.imports.write import write
 from trimtab.host.log import Flight, read_flight
+from trimtab.host.trace.data.audit import audit
+from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.findings import DOUBTS, Code
 from trimtab.host.trace.result import Named, Trace
 from trimtab.host.trace.run import run
@@ -91,6 +93,45 @@ def test_real_flight_reads_back_upright_in_the_air_and_weighing_g(
         at = np.searchsorted(pose.t_us, inputs.t_us[:-1])
         # Level only: motors stronger than the controller knows hold the vehicle 0.4 m above its reference.
         assert np.linalg.norm((pose.p[at] - inputs.p_ref[:-1])[:, :2], axis=1).max() < 0.25
+
+
+CRAZYPAD = [
+    f"{label}/E9_log{number}"
+    for label, numbers in {
+        "add_weight_W3_near_M3": ("00", "02"),
+        "cut_propeller_M3_3mm": ("00", "01"),
+        "normal_flight": ("00", "01", "02"),
+        "tape_on_propeller_M3": ("00",),
+        "weight_on_string_W3_near_M3": ("00", "01"),
+    }.items()
+    for number in numbers
+]
+
+
+@pytest.mark.parametrize("name", CRAZYPAD)
+def test_crazypad_log_comes_in_with_both_flights_and_a_rebuilt_pitch(
+    bring_in: Callable[[FormatName, str], Flight], name: str
+) -> None:
+    flight = bring_in("crazyflie-usd", f"crazypad/{name}")
+    there, back = flight.tracking_parts
+    assert there[1] - there[0] > 6_000_000
+    assert back[1] - back[0] > 7_000_000
+    pose, inputs, rebuilt = flight.mocap, flight.recorded_inputs, flight.rebuilt
+    assert pose is not None
+    assert inputs is not None
+    assert inputs.motor is not None
+    assert rebuilt is not None
+    # 2 m forward along x, and back: as its authors say.
+    ends = [pose.p[np.searchsorted(pose.t_us, part)] for part in (there, back)]
+    np.testing.assert_allclose([end[1, 0] - end[0, 0] for end in ends], [2.0, -2.0], atol=0.25)
+    # The motors stand still on the ground between the flights.
+    ((landed, off),) = flight.unused
+    resting = (inputs.t_us > landed + 1_500_000) & (inputs.t_us < off - 2_000_000)
+    assert resting.sum() > 200
+    assert not inputs.motor[resting].any()
+    assert (rebuilt.part, rebuilt.source) == ("pitch", "accelerations")
+    assert 0.2 < np.degrees(rebuilt.sd_rad) < 1.0
+    assert Code.GROUND_CONTACT in {stretch.code for stretch in audit(FlightData.of(flight)).stretches}
 
 
 def trace_of(

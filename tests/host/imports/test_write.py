@@ -152,3 +152,23 @@ def test_recording_that_contradicts_itself_leaves_nothing(
             format="nanobench",
         )
     assert sorted(path.name for path in tmp_path.iterdir()) == ["flight.csv"]
+
+
+def test_both_flights_of_a_recording_are_tracked_and_the_ground_is_not(tmp_path: Path, nano: Vehicle) -> None:
+    t_us = np.arange(0, 12_000_000, 10_000, dtype=np.int64)
+    height = np.interp(
+        t_us * 1e-6, [0.0, 0.5, 1.0, 4.5, 5.0, 6.0, 6.5, 11.0, 11.5], [0, 0, 1, 1, 0, 0, 1, 1, 0]
+    )
+    recording = Recording(
+        source="two",
+        pose_us=t_us,
+        p_ned=np.column_stack([np.zeros((len(t_us), 2)), -height]),
+        q_ned_frd=np.tile([1.0, 0.0, 0.0, 0.0], (len(t_us), 1)),
+        unknown=(),
+    )
+    write(recording, nano, tmp_path / "f.mcap", format="csv")
+    flight = read_flight(tmp_path / "f.mcap")
+    inside = [(t_us >= a) & (t_us <= b) for a, b in flight.tracking_parts]
+    assert len(inside) == 2
+    assert all(height[part].min() > 0.5 for part in inside)
+    assert all(part.sum() > 250 for part in inside)

@@ -9,10 +9,13 @@ import pytest
 
 from trimtab.host.log import (
     Battery,
+    LogError,
     Mocap,
+    Rebuilt,
     RecordedImu,
     RecordedInputs,
     read_flight,
+    to_lines,
     write_imported,
 )
 from trimtab.host.vehicle import Vehicle
@@ -84,6 +87,62 @@ def test_imported_lower_levels_read_back(tmp_path: Path, vehicle: Vehicle, level
 def test_imported_level_without_its_values_is_refused() -> None:
     with pytest.raises(ValueError, match="motor"):
         RecordedInputs(t_us=T_US, level="motor", thrust_n=np.ones(len(T_US)))
+
+
+def test_imported_log_of_two_flights_leaves_the_ground_between_them_out(
+    tmp_path: Path, vehicle: Vehicle
+) -> None:
+    path = tmp_path / "two.mcap"
+    whole, ground = (100_000, 900_000), (300_000, 600_000)
+    rebuilt = Rebuilt(part="pitch", source="positions", sd_rad=0.0123)
+    write_imported(
+        path,
+        vehicle=vehicle,
+        mocap=_mocap(),
+        tracking_us=whole,
+        unused_us=[ground],
+        session=rebuilt.metadata(),
+    )
+    flight = read_flight(path)
+    assert flight.tracking == whole
+    assert flight.unused == (ground,)
+    assert flight.tracking_parts == ((100_000, 300_000), (600_000, 900_000))
+    assert flight.rebuilt == rebuilt
+    lines = to_lines(flight.to_dict())
+    assert "not used from 0.30 to 0.60 s" in lines
+    assert "rebuilt by the import: pitch from positions, to 0.7 deg" in lines
+
+
+def test_imported_log_of_one_measured_flight_leaves_nothing_out(tmp_path: Path, vehicle: Vehicle) -> None:
+    write_imported(tmp_path / "x.mcap", vehicle=vehicle, mocap=_mocap())
+    flight = read_flight(tmp_path / "x.mcap")
+    assert flight.unused == ()
+    assert flight.tracking_parts == (flight.tracking,)
+    assert flight.rebuilt is None
+
+
+@pytest.mark.parametrize("ground", [(50_000, 200_000), (800_000, 900_000), (400_000, 300_000)])
+def test_imported_part_that_is_not_inside_the_tracking_phase_is_refused(
+    tmp_path: Path, vehicle: Vehicle, ground: tuple[int, int]
+) -> None:
+    with pytest.raises(ValueError, match="are not parts, in order, of tracking from 100000 to 900000 us"):
+        write_imported(
+            tmp_path / "x.mcap",
+            vehicle=vehicle,
+            mocap=_mocap(),
+            tracking_us=(100_000, 900_000),
+            unused_us=[ground],
+        )
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("entry", [{"unused_us": "1 2 3"}, {"rebuilt": "pitch dreams 0.1"}, {"rebuilt": "x"}])
+def test_imported_log_with_a_damaged_entry_is_refused(
+    tmp_path: Path, vehicle: Vehicle, entry: dict[str, str]
+) -> None:
+    write_imported(tmp_path / "x.mcap", vehicle=vehicle, mocap=_mocap(), session=entry)
+    with pytest.raises(LogError, match="damaged"):
+        read_flight(tmp_path / "x.mcap")
 
 
 def test_imported_sample_before_the_start_is_refused_and_nothing_written(

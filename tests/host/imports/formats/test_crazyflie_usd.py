@@ -13,7 +13,6 @@ from scipy.spatial.transform import Rotation
 
 from tests.narrowing import not_none
 from trimtab.host.imports import ImportFormatError
-from trimtab.host.imports.attitude import pitch_from_positions
 from trimtab.host.imports.formats.crazyflie_usd import POSITION, UNKNOWN, read
 from trimtab.host.imports.formats.usd_events import decode
 
@@ -226,9 +225,44 @@ def test_usd_log_of_another_controller_with_several_rates_is_read(
     assert found.thrust_n is None
 
 
-def test_pitch_that_was_not_logged_comes_from_the_positions(made_up: Any, foreign: SimpleNamespace) -> None:
+def _without_pitch(f: Any, foreign: SimpleNamespace, a_nwu: np.ndarray | None) -> bytes:
+    """A log of a flight in NWU and FLU with roll and yaw, and with these accelerations, m/s^2, if any."""
+    yaw, _, roll = np.degrees(f.turn.as_euler("ZYX")).T
+    names = ["x", "y", "z", "roll", "yaw"] + ([] if a_nwu is None else ["ax", "ay", "az"])
+    columns = np.column_stack([f.p, roll, yaw] + ([] if a_nwu is None else [a_nwu / foreign.G]))
+    records = [(7, round(1e6 * t), row) for t, row in zip(f.t, columns.tolist(), strict=True)]
+    return foreign.usd_bytes(
+        [(7, "x", [(f"stateEstimate.{name}", "f") for name in names])], records, version=2
+    )
+
+
+@pytest.mark.parametrize("source", ["accelerations", "positions"])
+def test_pitch_that_was_not_logged_is_rebuilt_with_the_error_that_roll_shows(
+    tmp_path: Path, made_up: Any, foreign: SimpleNamespace, source: str
+) -> None:
     f = foreign.in_axes(made_up, "nwu", "flu")
-    yaw, pitch, _ = f.turn.as_euler("ZYX").T
-    rebuilt = pitch_from_positions(f.t, f.p, yaw)
-    assert np.std(pitch) > 0.05
-    assert np.std(rebuilt - pitch) < 0.2 * np.std(pitch)
+    a_nwu = f.turn.apply(f.force) - [0.0, 0.0, foreign.G]
+    a_nwu += np.random.default_rng(4).normal(0.0, 0.3, a_nwu.shape)  # the rotors' vibration
+    a_nwu[:, 0] += 0.3  # the accelerometer's bias
+    path = tmp_path / "log07"
+    path.write_bytes(_without_pitch(f, foreign, a_nwu if source == "accelerations" else None))
+    found = read(path)
+    rebuilt = not_none(found.rebuilt)
+    assert (rebuilt.part, rebuilt.source) == ("pitch", source)
+    turn = Rotation.from_quat(found.q_ned_frd, scalar_first=True)
+    new = np.searchsorted(np.round(1e6 * f.t), found.pose_us)
+    yaw, pitch, roll = turn.as_euler("ZYX").T
+    logged_yaw, true_pitch, logged_roll = made_up.turn[new].as_euler("ZYX").T
+    np.testing.assert_allclose(roll, logged_roll, atol=1e-5)
+    np.testing.assert_allclose(yaw, logged_yaw, atol=1e-5)
+    flying = (f.t[new] > 3.0) & (f.t[new] < 9.0)
+    error = float(np.std((pitch - true_pitch)[flying]))
+    assert np.std(true_pitch[flying]) > 0.05
+    assert error < 0.2 * np.std(true_pitch[flying])
+    assert 0.5 * error < rebuilt.sd_rad < 2.0 * error
+
+
+def test_measured_pitch_is_not_rebuilt(tmp_path: Path, foreign: SimpleNamespace, made_up: Any) -> None:
+    path = tmp_path / "log07"
+    path.write_bytes(foreign.usd_flight(made_up, version=2))
+    assert read(path).rebuilt is None

@@ -108,6 +108,18 @@ def test_a_gap_in_the_poses_is_left_out(flight: Flight) -> None:
     assert stretch.end_s == pytest.approx(END_S, abs=0.015)
 
 
+def test_a_part_that_the_import_left_out_is_ground_contact_and_covers_what_shows_in_it(
+    flight: Flight,
+) -> None:
+    assert flight.tracking is not None
+    assert flight.mocap is not None
+    begin_us, _ = flight.tracking
+    landed = (begin_us + round(1e6 * (BEGIN_S - 0.2)), begin_us + round(1e6 * (END_S + 0.2)))
+    hidden = poses(flight, ~between(flight, flight.mocap.t_us))
+    stretch = the_stretch(replace(hidden, unused=(landed,)), Code.GROUND_CONTACT)
+    assert (stretch.start_s, stretch.end_s) == pytest.approx((BEGIN_S - 0.2, END_S + 0.2))
+
+
 def test_a_gap_in_the_commands_is_left_out(flight: Flight) -> None:
     assert flight.control is not None
     gone = between(flight, flight.control.t1_us)

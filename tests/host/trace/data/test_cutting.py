@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from trimtab.host.log import Battery, Mocap, RecordedInputs, read_flight, write_imported
+from trimtab.host.log import Battery, Mocap, Rebuilt, RecordedInputs, read_flight, write_imported
 from trimtab.host.trace.data.cutting import segments_of
-from trimtab.host.trace.data.signals import FlightData, averaged, signals, unknowns
+from trimtab.host.trace.data.signals import FlightData, averaged, noise, signals, unknowns
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import load_vehicle
 
@@ -71,6 +72,15 @@ def test_signals_of_a_reference_alone_are_those_of_poses_alone(tmp_path: Path) -
     data, (audit,) = segments_of([FlightData.of(flight)], rate_driven="torque" in unknowns([flight]))
     assert data.rate_driven
     assert Code.NO_INPUTS in {finding.code for finding in audit.findings}
+
+
+def test_noise_of_a_rebuilt_attitude_is_at_least_its_error(tmp_path: Path) -> None:
+    flight = read_flight(log(tmp_path / "poses.mcap"))
+    rebuilt = replace(flight, rebuilt=Rebuilt(part="pitch", source="positions", sd_rad=0.02))
+    measured, less = noise(signals(flight)), noise(signals(rebuilt))
+    assert measured[1] < 0.01
+    assert less[1] == 0.02
+    np.testing.assert_array_equal(np.delete(less, 1), np.delete(measured, 1))
 
 
 def test_segments_of_a_short_log_are_refused(tmp_path: Path) -> None:
