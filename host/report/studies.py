@@ -16,6 +16,7 @@ from trimtab.host.report import (
     paper_flight,
     paper_learning,
     paper_planning,
+    real,
     study,
 )
 from trimtab.host.report.figures import Figure
@@ -49,4 +50,5 @@ REPORTS: Mapping[str, Reporter] = {
     "paper-flight": paper_flight,
     "paper-learning": paper_learning,
     "paper-planning": paper_planning,
+    "real": real,
 }

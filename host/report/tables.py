@@ -19,13 +19,16 @@ def tables_page(
 ) -> str:
     """Return the HTML of the study's report, one file that opens offline.
 
-    size: how large the study is, in words; by default its number of worlds.
+    size: how large the study is, in words; by default its number of worlds. A study without a seed draws
+    nothing.
     """
     answer = outcome["answer"]
-    scope = "quick check, not for the record" if answer["quick"] else size or f"{answer['worlds']} worlds"
+    quick = answer.get("quick", False)
+    scope = "quick check, not for the record" if quick else size or f"{answer['worlds']} worlds"
+    seed = f", seed {answer['seed']}" if "seed" in answer else ""
     return render(
         "tables.html.j2",
-        title=f"{title}: {scope}, seed {answer['seed']}",
+        title=f"{title}: {scope}{seed}",
         tables=outcome["tables"],
         figures=list(drawn.values()),
         provenance=json.dumps(dict(provenance), indent=1, default=str),

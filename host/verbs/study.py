@@ -41,7 +41,7 @@ class StudyOptions:
         flights. For blind.
     shard
         Run only part I of N of the study (I/N), such as 1/4. Several machines share a study so, each with its
-        own folder. For all studies but controller-tuning.
+        own folder. For all studies but controller-tuning and real.
     merge
         Folder that --shard wrote; give the option once for each. Copy their files, and write the report of
         the whole study.
@@ -68,7 +68,7 @@ class StudyOptions:
 DEFAULTS = StudyOptions()
 
 
-def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
+def command(name: str, flights: Path | None = None, *, options: StudyOptions = DEFAULTS) -> None:
     """Run a study. An interrupted study resumes.
 
     Parameters
@@ -78,7 +78,9 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
         (settings of the controller files), correction (flown error without and with the correction of a
         model), labels (the paper's Neural-C from smoothed and from true labels), link (uploads over a lossy
         radio link, interrupted uploads, fuzzing), paper-learning, paper-planning, paper-controllers,
-        paper-flight (sections of the paper).
+        paper-flight (sections of the paper), real (verdicts on recorded flights against their labels).
+    flights
+        TOML file with groups of recorded flights. For real.
     """
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
@@ -107,6 +109,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             "plant": options.plant,
             "with_baselines": options.baselines,
             "real": options.real,
+            "flights": flights,
         },
         {
             "shard": "--merge" if options.merge else "--shard",
@@ -115,6 +118,7 @@ def command(name: str, *, options: StudyOptions = DEFAULTS) -> None:
             "plant": "--plant",
             "with_baselines": "--baselines",
             "real": "--real",
+            "flights": "FLIGHTS.toml",
         },
         name,
     )

@@ -31,7 +31,7 @@ from trimtab.sitl.studies.flights import (
     trace,
 )
 from trimtab.sitl.studies.plants import check_plant
-from trimtab.sitl.studies.real import judge_real, read_groups
+from trimtab.sitl.studies.recorded import judge_real, read_groups
 from trimtab.sitl.studies.scoring.baselines import BASELINES, judge_others
 from trimtab.sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from trimtab.sitl.studies.scoring.world import library, score_world
@@ -138,7 +138,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
             raise ShardDone(shard, scored, len(tasks))
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
-        recorded = judge_real(groups, folder, lambda detail: on_progress(done, done, detail))
+        recorded = judge_real(groups, folder, lambda _, detail: on_progress(done, done, detail), jobs=jobs)
     setup = {"seed": seed, "worlds": worlds, "plant": plant, "folder": str(folder)}
     return _outcome(setup, scores, recorded)
 

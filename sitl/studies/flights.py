@@ -177,11 +177,15 @@ def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], objec
     shutil.rmtree(bare)
 
 
-def ask(folder: Path, logs: Sequence[str], held_out: Sequence[str]) -> dict[str, Any]:
+def ask(
+    folder: Path, logs: Sequence[str], held_out: Sequence[str], baseline: Sequence[str] = ()
+) -> dict[str, Any]:
     """Run `trimtab trace` on the logs in `folder`, and return exit_code, answer, errors and trace_s.
 
-    No network is trained, because it does not affect the verdict.
+    `baseline` are the logs from before the change. No network is trained, because it does not affect the
+    verdict.
     """
     words = ["trace", *logs, "--no-network", *(["--hold-out", *held_out] if held_out else [])]
+    words += ["--baseline", *baseline] if baseline else []
     done = run_apart(words, folder)
     return {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s}

@@ -43,10 +43,10 @@ def table(figures: Mapping[str, Any]) -> list[Row]:
     """Return rows of strings: figure, value, n, interval, target."""
     rows = []
     for key, label, target in _SHARES:
-        rows.append(_share_row(label, target, figures[key], figures["n"][key], figures["interval"][key]))
+        rows.append(share_row(label, target, figures[key], figures["n"][key], figures["interval"][key]))
     for name, found in figures["by_family"].items():
         label = f"2-sigma coverage, {name}"
-        rows.append(_share_row(label, "90-98 %", found["coverage_2sigma"], found["n"], found["interval"]))
+        rows.append(share_row(label, "90-98 %", found["coverage_2sigma"], found["n"], found["interval"]))
     for name, found in figures["by_family"].items():
         width = _text(found["width_over_bound"], "")
         rows.append(_row(f"width over the bound, {name}", width, found["n"], "", "<= 1.5"))
@@ -153,7 +153,8 @@ def failure(score: Mapping[str, Any]) -> str | None:
     return f"{kinds}{weak}: {score['verdict']}, {named}{f' ({reason})' if reason else ''}"
 
 
-def _share_row(label: str, target: str, share: float | None, n: int, interval: Sequence[float] | None) -> Row:
+def share_row(label: str, target: str, share: float | None, n: int, interval: Sequence[float] | None) -> Row:
+    """Return the row of a share with its count, exact interval and target, as strings."""
     between = "" if interval is None else f"{100 * interval[0]:.1f}-{100 * interval[1]:.1f} %"
     return _row(label, _text(share, "%"), n, between, target)
 

@@ -43,8 +43,10 @@ from trimtab.protocol.blobs import Reference
 from trimtab.sitl.studies.labels.summary import NEURAL
 from trimtab.sitl.studies.labels.summary import summary as labels_summary
 from trimtab.sitl.studies.link import summary as link_summary
-from trimtab.sitl.studies.real import Group, real_row
+from trimtab.sitl.studies.recorded import Group, real_row
 from trimtab.sitl.studies.scoring import correction
+from trimtab.sitl.studies.scoring.labelled import score_row
+from trimtab.sitl.studies.scoring.labelled import summary as labelled_summary
 from trimtab.sitl.studies.scoring.metrics import baseline_rows, summary
 from trimtab.sitl.studies.upload_cuts import INTERRUPTIONS
 from trimtab.sitl.studies.upload_flight import RADIOS
@@ -379,6 +381,17 @@ def test_study_prints_what_the_page_says() -> None:
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
     beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}
     check("study", {**told, **summary(scores), **beside})
+
+
+def test_study_real_prints_what_the_page_says() -> None:
+    group = Group(name="g", label="cut", logs=("a.mcap",), expected=(("rotor-loss",),))
+    refused = {"answer": {}, "errors": "too short", "exit_code": 2, "trace_s": None}
+    row = real_row(group, refused)
+    row |= score_row(row, group.expected)
+    check(
+        "study real",
+        {"study": "real", "folder": "f", "report": "r", **labelled_summary([row]), "groups": [row]},
+    )
 
 
 def test_study_correction_prints_what_the_page_says() -> None:
