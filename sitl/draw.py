@@ -12,6 +12,8 @@ from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.kinds import DRAG, KINDS, Kind, Quantity
 from trimtab.sitl.seeds import Purpose, world_generator
 from trimtab.sitl.world import (
+    Battery,
+    Build,
     Draw,
     ImuSettings,
     MocapSettings,
@@ -22,6 +24,9 @@ from trimtab.sitl.world import (
     WorldFile,
 )
 
+_DEGREES = 3
+"""Degrees of freedom of heavy-tailed deviations (Student t)."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class World:
@@ -31,6 +36,7 @@ class World:
     seed: int
     effects: Mapping[str, Mapping[str, float]]
     deviations: Mapping[tuple[str, str], float]
+    battery: Battery
     turbulence: Turbulence
     mocap: MocapSettings
     imu: ImuSettings
@@ -57,7 +63,8 @@ def draw_world(name: str, file: WorldFile, seed: int, vehicle: Vehicle) -> World
         name=name,
         seed=seed,
         effects={kind: effects[kind] for kind in KINDS if kind in effects},
-        deviations=_draw_deviations(vehicle, seed) if file.tolerances else {},
+        deviations=_draw_deviations(vehicle, file.build, seed) if file.tolerances else {},
+        battery=file.battery,
         turbulence=file.turbulence,
         mocap=file.mocap,
         imu=file.imu,
@@ -100,7 +107,9 @@ def _draw_sizes(kind: Kind, draw: Draw, seed: int) -> dict[str, float]:
         if kind.spread == "either":
             factors = [f * rng.choice((-1.0, 1.0)) for f in factors]
     return {
-        q.key: _bounded(q, f) if q.drawn is None else float(rng.uniform(*q.drawn))
+        q.key: _bounded(q, f)
+        if q.drawn is None
+        else float(rng.uniform(*draw.uniform.get(f"{kind.name}.{q.key}", q.drawn)))
         for q, f in zip(kind.quantities, factors, strict=True)
     }
 
@@ -109,13 +118,15 @@ def _bounded(quantity: Quantity, factor: float) -> float:
     return float(np.clip(quantity.neutral + factor * quantity.typical, quantity.lower, quantity.upper))
 
 
-def _draw_deviations(vehicle: Vehicle, seed: int) -> dict[tuple[str, str], float]:
-    """Return the deviations of the build: a normal draw for each value, with the vehicle's tolerance."""
+def _draw_deviations(vehicle: Vehicle, build: Build, seed: int) -> dict[tuple[str, str], float]:
+    """Return the deviations of the build: a draw for each value, in units of the vehicle's tolerance."""
     rng = world_generator(seed, Purpose.TOLERANCES)
+    most = math.inf if build.clip is None else build.clip
     deviations = {}
     for kind in KINDS.values():
         for quantity in kind.quantities:
-            share = float(rng.standard_normal())
+            drawn = rng.standard_normal() if build.distribution == "normal" else rng.standard_t(_DEGREES)
+            share = min(max(float(drawn), -most), most)
             sigma = vehicle.tolerance(kind.name, quantity.key, quantity.tolerance) if kind.deviates else 0.0
             if sigma > 0.0:
                 deviations[kind.name, quantity.key] = sigma * (abs(share) if kind.one_sided else share)

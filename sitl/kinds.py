@@ -103,7 +103,7 @@ KINDS: dict[str, Kind] = {
             quantities=(_number("gain", 0.08, 0.01, 0.5, 2.0, neutral=1.0),),
             spread="either",
         ),
-        Kind(name="battery-sag", quantities=(_number("exponent", 1.7, 0.0, 0.0, 5.0),), spread="above"),
+        Kind(name="battery-sag", quantities=(_number("exponent", 1.7, 0.1, -1.0, 5.0),), spread="above"),
         Kind(name="motor-lag", quantities=(_number("extra_s", 0.015, 0.001, -0.008, 0.08),), spread="above"),
         Kind(
             name="com-offset",

@@ -12,13 +12,14 @@ from typing import Any, Protocol
 from trimtab.host.codegen import CompiledEngine, function_engine, sx_function
 from trimtab.host.vehicle import Vehicle
 from trimtab.sitl.draw import World
+from trimtab.sitl.gusts import Gusts
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
 from trimtab.sitl.plant_model import INPUTS, OUTPUTS, PARAMETERS, PARTS, STATE, TICK_S, Block, tick
 from trimtab.sitl.seeds import Purpose, flight_generator
 from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
 from trimtab.sitl.vectors import rotation
 
-_SAG_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight in a world with battery-sag
+_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight if the battery discharges
 _NOISE_BLOCK = 1024
 _COMMANDS_MAX = 4096  # numbers that are kept before all but the latest are dropped
 _write_eight = Struct("8d").pack_into
@@ -54,7 +55,9 @@ class Plant:
     """
 
     def __init__(self, vehicle: Vehicle, world: World, flight: int) -> None:
-        self._engine = plant_engine(PARTS.intersection(world.effects))
+        discharges = {"battery-sag"} if world.battery.discharges else set[str]()
+        parts = PARTS.intersection({*world.effects, *discharges})
+        self._engine = plant_engine(parts)
         self._run = self._engine.run
         inputs: Any = self._engine.inputs
         outputs: Any = self._engine.outputs
@@ -66,10 +69,10 @@ class Plant:
         inputs["parameters"][:] = pack(PARAMETERS, values)
         self._full_v = values["battery"][0]
         self._calm = world.turbulence.force_m_s2 == 0.0 and world.turbulence.torque_rad_s2 == 0.0
-        self._rng = flight_generator(world.seed, flight, Purpose.TURBULENCE)
+        self._gusts = Gusts(world.turbulence, flight_generator(world.seed, flight, Purpose.TURBULENCE))
         self._charge_used_c = 0.0
-        if "battery-sag" in world.effects:
-            depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _SAG_START_DEPTH)
+        if "battery-sag" in parts:
+            depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _START_DEPTH)
             self._charge_used_c = depth * values["battery"][3]
         self._com_frd = values["com_frd"]
         self._line_m = values["payload"][1]
@@ -82,7 +85,6 @@ class Plant:
         self._sent: list[float] = []  # the commands of past ticks, the latest last
         latest = [-4 * (t + 1) + i for i, t in enumerate(ticks)]
         self._delayed = itemgetter(*latest, *(at - 4 for at in latest))
-        self._gust_sd = (world.turbulence.force_m_s2, world.turbulence.torque_rad_s2)
         self._block = memoryview(b"")
         self._at = self._end = 0
 
@@ -95,8 +97,6 @@ class Plant:
         p = [p_ned[i] + sum(R[3 * i + k] * com[k] for k in range(3)) for i in range(3)]
         if p_ned[2] == 0.0:
             p[2] += SINK_M
-        force, torque = self._gust_sd
-        gust = self._rng.standard_normal(6) * ([force] * 3 + [torque] * 3)
         state = {
             "p_ned": p,
             "v_ned": [0.0] * 3,
@@ -104,7 +104,7 @@ class Plant:
             "rate_frd": [0.0] * 3,
             "rotor_speed": [0.0] * 4,
             "charge_used_c": [self._charge_used_c],
-            "gust": gust,
+            "gust": self._gusts.start(),
             "acceleration_ned": [0.0] * 3,
             "turning_frd": [0.0] * 3,
             "payload_ned": [*self._hanging(p_ned), 0.0, 0.0, 0.0],
@@ -140,7 +140,7 @@ class Plant:
         return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
 
     def _draw_noise(self) -> None:
-        self._block = self._rng.standard_normal(6 * _NOISE_BLOCK).data
+        self._block = self._gusts.noise(_NOISE_BLOCK).ravel().data
         self._at, self._end = 0, 6 * _NOISE_BLOCK
 
 

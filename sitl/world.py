@@ -27,13 +27,33 @@ Spell = tuple[NonNegative, Annotated[float, Field(gt=0.0)]]
 
 
 class Turbulence(Strict):
-    """Ornstein-Uhlenbeck disturbance of the body, drawn for each flight."""
+    """Random disturbance of the body, drawn for each flight."""
 
     force_m_s2: NonNegative = 0.04
     """Standard deviation of each axis in NED, as acceleration."""
     torque_rad_s2: NonNegative = 0.5
     """Standard deviation of each axis in FRD, as angular acceleration."""
     correlation_s: Annotated[float, Field(gt=0.0)] = 0.3
+    spectrum: Literal["ornstein-uhlenbeck", "dryden"] = "ornstein-uhlenbeck"
+    """dryden: gusts along east and down, and in pitch and yaw, have Dryden's transverse spectrum."""
+
+
+class Build(Strict):
+    """Deviations of the build from the vehicle file, if the world has tolerances."""
+
+    distribution: Literal["normal", "student-t"] = "normal"
+    """Distribution of a deviation over its tolerance. student-t: with 3 degrees of freedom."""
+    clip: Annotated[float, Field(gt=0.0)] | None = None
+    """Greatest deviation, in tolerances. Default: none."""
+
+
+class Battery(Strict):
+    """The battery. In a world with battery-sag it always discharges, and thrust falls with its voltage."""
+
+    discharges: bool = False
+    """Whether the voltage falls under load and with the charge. Without battery-sag, the motor controllers
+    then compensate for it: thrust does not depend on the voltage, up to the tolerance of battery-sag.
+    """
 
 
 class MocapSettings(Strict):
@@ -172,6 +192,27 @@ class Draw(Strict):
     )
     size: tuple[Annotated[float, Field(gt=0.0)], Annotated[float, Field(gt=0.0)]] = (0.5, 2.0)
     """Smallest and greatest multiple of the typical size."""
+    uniform: dict[str, tuple[float, float]] = Field(default_factory=dict)
+    """Other intervals, by "kind.key", of values that are drawn uniformly: places, directions, lengths."""
+
+    @field_validator("uniform")
+    @classmethod
+    def _within_bounds(cls, value: dict[str, tuple[float, float]]) -> dict[str, tuple[float, float]]:
+        known = {
+            f"{kind.name}.{q.key}": q
+            for kind in KINDS.values()
+            for q in kind.quantities
+            if q.drawn is not None
+        }
+        for name, (low, high) in value.items():
+            if name not in known:
+                raise ValueError(f"unknown {name}; choose from {', '.join(known)}")
+            if not known[name].lower <= low <= high <= known[name].upper:
+                raise ValueError(
+                    f"{name} = {[low, high]} is not an interval within {known[name].lower:g} to "
+                    f"{known[name].upper:g}; give [low, high]"
+                )
+        return value
 
     @field_validator("kinds")
     @classmethod
@@ -221,6 +262,8 @@ class WorldFile(Strict):
     """Whether the build deviates from the vehicle file within its tolerances. Drawn from the seed."""
     effects: Effects = Effects()
     draw: Draw | None = None
+    build: Build = Build()
+    battery: Battery = Battery()
     turbulence: Turbulence = Turbulence()
     mocap: MocapSettings = MocapSettings()
     imu: ImuSettings = ImuSettings()

@@ -6,13 +6,15 @@ import json
 from collections.abc import Mapping
 from typing import Any
 
-from trimtab.host.report import figures
+from trimtab.host.report import figures, study_figures
 from trimtab.host.report.figures import Figure
 from trimtab.host.report.html import render, script_data
 
 
 def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
-    """Return the pictures by file stem: `confusion` and, if an effect was named correctly, `coverage`."""
+    """Return the pictures by file stem: `confusion`, and what there is of `reliability` (of probabilities),
+    `detection` (of effects by size) and `coverage` (of correctly named effects).
+    """
     drawn = {
         "confusion": figures.counts(
             outcome["confusion"],
@@ -21,6 +23,11 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
             columns="effect named first, or verdict",
         )
     }
+    given = {data: found for data, found in outcome["answer"]["probabilities"].items() if found["n"]}
+    if given:
+        drawn["reliability"] = study_figures.reliability(given)
+    if outcome["answer"]["detection"]["sigma"]["total"]:
+        drawn["detection"] = study_figures.detection(outcome["answer"]["detection"])
     families = {name: errors for name, errors in outcome["deviations"].items() if errors}
     if families:
         by_family = outcome["answer"]["by_family"]
@@ -37,10 +44,14 @@ def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Ma
     """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
     where = "" if answer["plant"] is None else f" in the plant of {answer['plant']}"
+    source = f"seed {answer['seed']}" if answer["secret"] is None else f"secret {answer['secret'][:8]}"
     return render(
         "study.html.j2",
-        title=f"Blind study of {answer['worlds']} worlds{where}, seed {answer['seed']}",
+        title=f"Blind study of {answer['worlds']} worlds{where}, {source}",
+        secret=answer["secret"],
+        secret_sha256=answer["secret_sha256"],
         table=outcome["table"],
+        tables=outcome["tables"],
         thin=outcome["thin"],
         real=outcome["real"],
         baselines=outcome["baselines"],

@@ -25,7 +25,7 @@ class StudyOptions:
     seed
         Seed of worlds, flights and first weights.
     worlds
-        Number of worlds. Default: 30 for blind (538 in full size), 20 for calibrate, 5 for correction,
+        Number of worlds. Default: 30 for blind (918 in full size), 20 for calibrate, 5 for correction,
         labels and the paper's studies.
     jobs
         Number of processes. Default: one for each core.
@@ -34,11 +34,17 @@ class StudyOptions:
         the paper's studies.
     plant
         Simulator whose plant the worlds have instead of ours: rotorpy or crazyflow. For blind.
+    few_flights
+        Share of the worlds, 0 to 1, that are also traced from one flight and from one pair of flights.
+        Default: 1. For blind.
     baselines
         Also score other methods on the same logs. For blind.
     real
         TOML file with groups of recorded flights. They are also traced, and the error is measured on held-out
         flights. For blind.
+    secret
+        File with a random secret that the worlds come from, instead of the seed. Made if it does not exist.
+        Its SHA-256 is printed at the start, the secret stands in the report. For blind.
     shard
         Run only part I of N of the study (I/N), such as 1/4. Several machines share a study so, each with its
         own folder. For all studies but controller-tuning and real.
@@ -47,7 +53,7 @@ class StudyOptions:
         the whole study.
     output
         Folder for state and report. Default: study-NAME-SEED in the workspace, study-NAME-PLANT-SEED with a
-        plant.
+        plant, with the name of the file instead of the seed for a secret.
     """
 
     seed: int = 1
@@ -56,8 +62,10 @@ class StudyOptions:
     jobs: int | None = None
     quick: Annotated[bool, Parameter(negative="")] = False
     plant: str | None = None
+    few_flights: float | None = None
     baselines: Annotated[bool, Parameter(negative="")] = False
     real: Path | None = None
+    secret: Path | None = None
     shard: str | None = None
     merge: tuple[Path, ...] = ()
     output: Output = None
@@ -107,8 +115,10 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
             "worlds": options.worlds,
             "quick": options.quick,
             "plant": options.plant,
+            "few_flights": options.few_flights,
             "with_baselines": options.baselines,
             "real": options.real,
+            "secret": options.secret,
             "flights": flights,
         },
         {
@@ -116,8 +126,10 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
             "worlds": "--worlds",
             "quick": "--quick",
             "plant": "--plant",
+            "few_flights": "--few-flights",
             "with_baselines": "--baselines",
             "real": "--real",
+            "secret": "--secret",
             "flights": "FLIGHTS.toml",
         },
         name,
@@ -125,7 +137,8 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
     space = open_workspace(options.workspace)
     space.vehicle(options.vehicle)
     file = Path(options.vehicle)
-    words = [name, *([] if options.plant is None else [options.plant]), str(options.seed)]
+    label = str(options.seed) if options.secret is None else options.secret.stem
+    words = [name, *([] if options.plant is None else [options.plant]), label]
     folder = options.output if options.output is not None else space.root / "-".join(["study", *words])
     artefacts.check_folder(folder, ())
     if options.merge:

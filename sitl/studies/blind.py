@@ -14,12 +14,15 @@ from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wai
 from dataclasses import dataclass
 from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
+from tempfile import gettempdir
 from typing import Any
 
+from trimtab.host.base.artefacts import git_state, version
+from trimtab.host.base.output import say
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.base.shards import Shard, ShardDone
 from trimtab.host.vehicle import load_vehicle
-from trimtab.sitl.studies.files import Ledger, read_json, sha256_of
+from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
     BLIND,
     SCORE,
@@ -35,7 +38,18 @@ from trimtab.sitl.studies.recorded import judge_real, read_groups
 from trimtab.sitl.studies.scoring.baselines import BASELINES, judge_others
 from trimtab.sitl.studies.scoring.metrics import baseline_rows, confusion, deviations, summary
 from trimtab.sitl.studies.scoring.world import library, score_world
-from trimtab.sitl.studies.table import baseline_table, failure, lines, real_table, table, thin_table
+from trimtab.sitl.studies.secret import commitment, read_secret
+from trimtab.sitl.studies.table import (
+    baseline_table,
+    failure,
+    false_certainties,
+    kind_tables,
+    lines,
+    real_table,
+    table,
+    thin_table,
+    truth_table,
+)
 from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme_of
 from trimtab.sitl.studies.worlds import PlannedWorld, plan_worlds
 
@@ -66,16 +80,18 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     jobs: int,
     worlds: int = 30,
     plant: str | None = None,
+    few_flights: float = 1.0,
     with_baselines: bool = False,
     real: Path | None = None,
+    secret: Path | None = None,
     programme: Programme = BLIND,
     shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
     """Run the blind study, or resume it; return its outcome as plain data.
 
-    The outcome has `answer` (the JSON object), `lines` (text for the terminal), `table`, `thin`, `real`,
-    `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong` and `scores`.
+    The outcome has `answer` (the JSON object), `lines` (text for the terminal), `table`, `tables`, `thin`,
+    `real`, `baselines`, `confusion`, `deviations` (errors in reported sd by family), `wrong` and `scores`.
 
     Parameters
     ----------
@@ -85,8 +101,12 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         Number of processes.
     plant
         Name in `plants.PLANTS`: fly in the plant of that simulator, worlds of the classes IN_PLANTS.
+    few_flights
+        Share of the worlds inside the library that are also traced from one flight and from one pair.
     real
         File with groups of recorded flights that are traced too.
+    secret
+        File with the secret that the worlds come from, instead of the seed; made if it does not exist.
     programme
         Flights in every world.
     shard
@@ -97,23 +117,29 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     UsageError
         The folder holds another study or is in use.
     StudyError
-        A route cannot be planned, a world cannot be flown, or the plant is unknown or not installed.
+        A route cannot be planned, a world cannot be flown, the plant is unknown or not installed, the secret
+        is invalid, or temporary files would lie in the folder.
     SealBroken
         A truth has changed since it was sealed.
     """
     check_plant(plant)
-    planned = plan_worlds(seed, worlds, library(), plant)
+    identity, published = _identity(seed, secret)
+    source = seed if published["secret"] is None else int(published["secret"], 16)
+    planned = plan_worlds(source, worlds, library(), few_flights, plant)
     groups = [] if real is None else read_groups(real)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
+    if Path(gettempdir()).resolve().is_relative_to(folder.resolve()):
+        raise StudyError(f"{folder}: holds the folder for temporary files; set TMPDIR to another one")
     with alone_in(folder):
         references = plan_references(folder, vehicle, programme)
         plan_thin_references(folder, vehicle, programme)
         claim(folder, {
             "study": "blind",
-            "seed": seed,
+            **identity,
             "worlds": worlds,
             "plant": plant,
+            "few_flights": few_flights,
             "vehicle": load_vehicle(vehicle).id,
             "references": {path.stem: sha256_of(path) for path in sorted(references.glob("*.ref"))},
             "kinds": sorted({kind for world in planned for kind in world.kinds}),
@@ -139,8 +165,22 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
         recorded = judge_real(groups, folder, lambda _, detail: on_progress(done, done, detail), jobs=jobs)
-    setup = {"seed": seed, "worlds": worlds, "plant": plant, "folder": str(folder)}
+    setup = {**published, "worlds": worlds, "plant": plant, "folder": str(folder)}
     return _outcome(setup, scores, recorded)
+
+
+def _identity(seed: int, secret: Path | None) -> tuple[dict[str, Any], dict[str, Any]]:
+    """Return what the folder records of the source of the worlds, and what the report publishes.
+
+    A study with a secret also records its program: it cannot be resumed with another one.
+    """
+    if secret is None:
+        return {"seed": seed}, {"seed": seed, "secret": None, "secret_sha256": None}
+    text = read_secret(secret)
+    digest = commitment(text)
+    say(f"the worlds come from a secret with SHA-256 {digest}; publish it before the study ends")
+    identity = {"secret_sha256": digest, "program": [version(), git_state()]}
+    return identity, {"seed": None, "secret": text, "secret_sha256": digest}
 
 
 def _outcome(
@@ -152,12 +192,17 @@ def _outcome(
         "answer": {"study": "blind", **setup, **figures, "baselines": baselines, "real": recorded},
         "lines": [f"plant: {setup['plant'] or 'own'}", *lines(figures, scores, baselines, recorded)],
         "table": table(figures),
+        "tables": {"Truth in two columns": truth_table(figures), **kind_tables(figures)},
         "thin": thin_table(figures),
         "real": real_table(recorded),
         "baselines": baseline_table(baselines),
         "confusion": confusion(scores),
         "deviations": deviations(scores),
-        "wrong": [(s["world"], reason) for s in scores if (reason := failure(s)) is not None],
+        "wrong": [
+            (s["world"], reason)
+            for s in scores
+            for reason in [*filter(None, [failure(s)]), *false_certainties(s)]
+        ],
         "scores": scores,
     }
 
@@ -211,7 +256,7 @@ def fly(task: Task) -> str:
 
 def judge(task: Task) -> str:
     """Trace and score the task's world unless that is done, and return the verdict."""
-    trace(task.folder, task.programme, copier_of(task.world.case))
+    trace(task.folder, task.programme, copier_of(task.world.case), few=task.world.few)
     score = score_world(task.folder, Ledger(task.ledger), task.programme)
     if task.with_baselines:
         judge_others(task.folder, task.programme)

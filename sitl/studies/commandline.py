@@ -19,6 +19,9 @@ from trimtab.sitl.studies.files import StudyError
 
 COMMAND = "trimtab"
 
+_KEPT = ("PATH", "LANG", "LC_ALL", "LD_LIBRARY_PATH", "TRIMTAB_ENGINE")
+"""Variables that a process on its own inherits."""
+
 
 @dataclass(frozen=True, kw_only=True)
 class Answer:
@@ -33,13 +36,17 @@ class Answer:
     cpu_s: float | None = None
 
 
-def run_apart(words: Sequence[str], folder: Path) -> Answer:
-    """Run `trimtab WORDS --json` in a separate process in `folder`, and return the answer."""
+def run_apart(words: Sequence[str], folder: Path, *, alone: bool = False) -> Answer:
+    """Run `trimtab WORDS --json` in a separate process in `folder`, and return the answer.
+
+    alone: whether the process gets only `bare_environment`, instead of the environment of this process.
+    """
     before = resource.getrusage(resource.RUSAGE_CHILDREN)
     done = subprocess.run(
         [sys.executable, "-m", "trimtab.host.cli", *words, "--json"],
         cwd=folder,
-        env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
+        env={**(bare_environment(folder) if alone else os.environ), "OPENBLAS_NUM_THREADS": "1"},
+        stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,
         check=False,
@@ -47,6 +54,22 @@ def run_apart(words: Sequence[str], folder: Path) -> Answer:
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
     return Answer(code=done.returncode, data=_last(done.stdout), errors=done.stderr, cpu_s=cpu_s)
+
+
+def bare_environment(folder: Path) -> dict[str, str]:
+    """Return the environment of a process that must know nothing but `folder`, its home.
+
+    It holds where programs, the package and compiled models are, and the engine. No path of a study is in it.
+    """
+    kept = {name: os.environ[name] for name in _KEPT if name in os.environ}
+    packages = os.environ.get("PYTHONPATH", "").split(os.pathsep)
+    return {
+        **kept,
+        "PYTHONPATH": os.pathsep.join(str(Path(path).absolute()) for path in packages if path),
+        "XDG_CACHE_HOME": os.environ.get("XDG_CACHE_HOME") or str(Path.home() / ".cache"),
+        "HOME": str(folder),
+        "TMPDIR": str(folder),
+    }
 
 
 def run_inside(words: Sequence[str]) -> Answer:

@@ -4,15 +4,16 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 from trimtab.sitl.studies.commandline import run_apart, run_inside
 from trimtab.sitl.studies.files import StudyError, read_json, sha256_of, write_json, write_whole
 from trimtab.sitl.studies.plants import PLANTS
-from trimtab.sitl.studies.worlds import PlannedWorld
+from trimtab.sitl.studies.worlds import PlannedWorld, redrawn_seed
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -62,8 +63,16 @@ BLIND = Programme(
 TRUTH, VERDICT, SCORE = "truth.json", "verdict.json", "score.json"
 """Files of the three stages of a world. Each exists when its stage is done."""
 
-STILL = "still"
-"""Folder of the flights in still air, which only the scoring opens."""
+FEW = {"one flight": "verdict-one-flight.json", "one pair": "verdict-one-pair.json"}
+"""Files of the verdicts on a part of the flights; they exist before VERDICT, in worlds that have them."""
+
+FLIGHTS, STILL, PLAIN = "flights", "still", "plain"
+"""Folders of the traced flights, of those in still air, and of those in still air without the effects. Only
+the scoring opens the last two.
+"""
+
+ATTEMPTS = 30
+"""Greatest number of draws of a world, until the vehicle can fly it."""
 
 _LOG_TRUTH, _WORLD = ".truth.json", "world.toml"
 
@@ -97,25 +106,49 @@ def fly_and_seal(
 ) -> str:
     """Fly a world in `folder`, seal its truth and return the truth's SHA-256. Existing files stay.
 
-    If a vehicle file with the name of a reference lies beside it, that vehicle flies it. A failed flight also
-    counts, as far as it has a log.
+    If a vehicle file with the name of a reference lies beside it, that vehicle flies it. If a flight fails,
+    a `wide` world is drawn again. In other worlds it counts, as far as it has a log. Raises StudyError if a
+    world cannot be flown.
     """
     if (folder / TRUTH).is_file():
         return sha256_of(folder / TRUTH)
-    logs = folder / "flights"
-    logs.mkdir(parents=True, exist_ok=True)
-    flown = []
-    sealed: dict[str, Any] = {}
+    for attempt in range(ATTEMPTS):
+        drawn = replace(world, seed=redrawn_seed(world.seed, attempt))
+        if _fly_all(drawn, folder, references, vehicle, programme):
+            return _seal(drawn, folder, vehicle, programme, redrawn=attempt)
+    raise StudyError(
+        f"world {world.name}: {vehicle} did not fly it in any of {ATTEMPTS} draws; choose another seed"
+    )
+
+
+def _fly_all(world: PlannedWorld, folder: Path, references: Path, vehicle: str, programme: Programme) -> bool:
+    """Fly all flights of a world, and return whether it counts: not if it is `wide` and a flight failed."""
+    (folder / FLIGHTS).mkdir(parents=True, exist_ok=True)
     for name, route, index in programme.flights():
-        log = logs / f"{name}.mcap"
-        _fly(world, world.toml(), references / route, index, vehicle, log)
-        sealed = read_json(_truth_path(log))
-        flown.append({"log": log.name, "sha256": sha256_of(log)})
-    if world.is_measured:
-        (folder / STILL).mkdir(exist_ok=True)
+        log = folder / FLIGHTS / f"{name}.mcap"
+        whole = _fly(world, world.toml(), references / route, index, vehicle, log)
+        if world.wide and not whole:
+            _truth_path(log).unlink()
+            return False
+    for place, still in _still_worlds(world).items():
+        (folder / place).mkdir(exist_ok=True)
         for name, route, index in programme.still(each="battery-sag" in world.kinds):
-            log = folder / STILL / f"{name}.mcap"
-            _fly(world, world.toml(still=True), references / route, index, vehicle, log)
+            log = folder / place / f"{name}.mcap"
+            _fly(world, still.toml(still=True), references / route, index, vehicle, log)
+    return True
+
+
+def _still_worlds(world: PlannedWorld) -> dict[str, PlannedWorld]:
+    """Return the worlds to fly in still air, by folder."""
+    if world.kind_class == "outside":
+        return {STILL: world, PLAIN: world.without_effects()}
+    return {STILL: world} if world.is_measured else {}
+
+
+def _seal(world: PlannedWorld, folder: Path, vehicle: str, programme: Programme, *, redrawn: int) -> str:
+    """Write the truth of a flown world and remove the files that it is from; return its SHA-256."""
+    logs = [folder / FLIGHTS / f"{name}.mcap" for name, _, _ in programme.flights()]
+    sealed = read_json(_truth_path(logs[-1]))
     truth = {
         "world": world.name,
         "class": world.kind_class,
@@ -124,11 +157,12 @@ def fly_and_seal(
         "plant": world.plant,
         "file": world.toml(),
         "seed": world.seed,
+        "redrawn": redrawn,
         "vehicle": vehicle,
         "effects": sealed["effects"],
         "deviations": sealed["deviations"],
         "turbulence": sealed["turbulence"],
-        "flights": flown,
+        "flights": [{"log": log.name, "sha256": sha256_of(log)} for log in logs],
     }
     write_json(folder / TRUTH, truth)
     for path in folder.glob(f"*/*{_LOG_TRUTH}"):
@@ -137,13 +171,14 @@ def fly_and_seal(
     return sha256_of(folder / TRUTH)
 
 
-def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: str, log: Path) -> None:
-    """Fly in the world `file` and write the log with its truth beside it, unless they exist.
+def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: str, log: Path) -> bool:
+    """Fly in the world `file`, and write the log with its truth beside it, unless they exist.
 
-    `reference` is a path without suffix. Raises StudyError if it cannot be flown.
+    `reference` is a path without suffix. Returns whether the flight ended as planned. Raises StudyError if
+    there is no log of it.
     """
-    if _truth_path(log).is_file():
-        return
+    if _truth_path(log).is_file() and read_json(_truth_path(log))["world_seed"] == world.seed:
+        return True
     path = log.parent.parent / _WORLD
     write_whole(path, file.encode())
     vehicle_file = reference.with_name(f"{reference.name}.toml")
@@ -154,27 +189,45 @@ def _fly(world: PlannedWorld, file: str, reference: Path, index: int, vehicle: s
     done = run_inside([*words, "-o", str(log), "--force"])
     if done.code not in (0, 1) or not _truth_path(log).is_file():
         raise StudyError(f"world {world.name}, flight {log.stem}: {done.errors.strip()}")
+    return done.code == 0
 
 
 def _truth_path(log: Path) -> Path:
     return log.with_name(log.name + _LOG_TRUTH)
 
 
-def trace(folder: Path, programme: Programme, copy: Callable[[Path, Path], object] = shutil.copyfile) -> None:
+def trace(
+    folder: Path,
+    programme: Programme,
+    copy: Callable[[Path, Path], object] = shutil.copyfile,
+    *,
+    few: bool = False,
+) -> None:
     """Trace the world's logs and write the verdict to `folder`, unless it exists.
 
-    The command line runs in a folder that contains only the copies that `copy` makes of the logs.
+    The command line runs in a process of its own, whose environment, arguments and folder contain no path of
+    the study; the folder holds only the copies that `copy` makes of the logs, and is removed. With `few`,
+    it also traces the first flight alone, and the first route's repeat flights.
     """
     if (folder / VERDICT).is_file():
         return
-    bare = folder / "trace"
-    shutil.rmtree(bare, ignore_errors=True)
-    bare.mkdir()
-    for log in (folder / "flights").glob("*.mcap"):
-        copy(log, bare / log.name)
-    answer = ask(bare, programme.logs(programme.learning), programme.logs(programme.held_out))
-    write_json(folder / VERDICT, answer)
-    shutil.rmtree(bare)
+    learning = programme.logs(programme.learning)
+    if few:
+        for file, count in zip(FEW.values(), (1, programme.repeats), strict=True):
+            _trace(folder / file, learning[:count], [], copy)
+    _trace(folder / VERDICT, learning, programme.logs(programme.held_out), copy)
+
+
+def _trace(
+    target: Path, logs: Sequence[str], held_out: Sequence[str], copy: Callable[[Path, Path], object]
+) -> None:
+    """Trace these logs of the world in `target`'s folder, and write the verdict to `target`."""
+    if target.is_file():
+        return
+    with TemporaryDirectory(prefix="trimtab-trace-") as bare:
+        for log in (*logs, *held_out):
+            copy(target.parent / FLIGHTS / log, Path(bare) / log)
+        write_json(target, ask(Path(bare), logs, held_out))
 
 
 def ask(
@@ -187,5 +240,5 @@ def ask(
     """
     words = ["trace", *logs, "--no-network", *(["--hold-out", *held_out] if held_out else [])]
     words += ["--baseline", *baseline] if baseline else []
-    done = run_apart(words, folder)
+    done = run_apart(words, folder, alone=True)
     return {"exit_code": done.code, "answer": done.data, "errors": done.errors, "trace_s": done.cpu_s}

@@ -358,7 +358,7 @@ def test_demo_prints_what_the_page_says(trimtab: Callable[..., dict[str, Any]], 
 
 
 def test_study_prints_what_the_page_says() -> None:
-    row = {"effect": "wind", "key": "wx", "family": "aerodynamic", "turned": False, "true": 3.0}
+    row = {"effect": "wind", "key": "wx", "family": "aerodynamic", "turned": False, "true": 3.0, "drawn": 3.0}
     row |= {"estimate": 3.0, "sd": 0.1, "bound_sd": 0.1, "neutral": 0.0, "typical": 1.0}
     said = {"top1": True, "exact": True, "in_alias": True, "identifiable": True, "alias_sizes": [1]}
     said |= {
@@ -368,15 +368,34 @@ def test_study_prints_what_the_page_says() -> None:
         "after_m": 0.1,
         "floor_m": 0.1,
         "trace_s": 1.0,
+        "wrong": False,
+        "few": {},
+        "redrawn": 0,
+        "false_names": [],
+        "detectable": True,
+        "detection": [{"effect": "wind", "sigma": 5.0, "tolerances": 20.0, "found": True}],
+        "probabilities": [{"name": "wind", "probability": 0.98, "there": True}],
     }
     scores = [
-        {"world": "0000", "class": name, "kinds": ["wind"], "parameters": [row], **said}
+        {
+            "world": "0000",
+            "class": name,
+            "kinds": ["wind"],
+            "parameters": [row],
+            "few": {},
+            "redrawn": 0,
+            "false_names": [],
+            "detectable": True,
+            "detection": [{"effect": "wind", "sigma": 5.0, "tolerances": 20.0, "found": True}],
+            **said,
+        }
         for name in ("single", "pair", "none", "outside")
     ]
     scores[0]["baselines"] = {"network": {"names": None, "first_right": None, "exact": None, "after_m": 0.1}}
     for score in scores[1:]:
         score["baselines"] = None
     told = {"study": "blind", "seed": 1, "worlds": 4, "plant": None, "folder": "f", "report": "f/report.html"}
+    told |= {"secret": None, "secret_sha256": None}
     group = Group(name="g", logs=("a.mcap",), hold_out=("b.mcap",))
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
     beside = {"baselines": baseline_rows(scores), "real": [real_row(group, refused)]}

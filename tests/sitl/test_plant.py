@@ -151,6 +151,22 @@ def test_quiet_world_hovers_on_the_vehicle_files_hover_command(vehicle: Vehicle)
     assert plant.sensed[6] == vehicle.battery.full_v
 
 
+def test_discharging_battery_moves_the_voltage_and_not_the_thrust(vehicle: Vehicle) -> None:
+    ends = []
+    for discharges in (False, True):
+        content = {"description": "x", "tolerances": False, "battery": {"discharges": discharges}}
+        content["turbulence"] = {"force_m_s2": 0.0, "torque_rad_s2": 0.0}
+        plant = Plant(vehicle, draw_world("x", WorldFile.model_validate(content), 0, vehicle), 1)
+        airborne(plant, speed=(0.5,) * 4)
+        for _ in range(2000):
+            plant.step((0.5, 0.52, 0.5, 0.48))
+        ends.append((plant.sensed[6], plant.state[:17].tolist()))
+    (constant, still), (moved, discharged) = ends
+    assert constant == vehicle.battery.full_v
+    assert moved < 0.98 * constant
+    assert discharged == pytest.approx(still, rel=1e-12, abs=1e-12)
+
+
 @pytest.mark.parametrize("step", [0.02, -0.02, 0.15, -0.15])
 def test_thrust_after_a_step_lags_as_the_vehicle_file_says(vehicle: Vehicle, step: float) -> None:
     """First-order rotor speed is not first-order thrust, but near enough the same time constant."""

@@ -197,6 +197,31 @@ def test_deviations_follow_the_vehicle_files_tolerances(vehicle: Vehicle) -> Non
     assert np.sqrt(np.mean(np.square(drag))) == pytest.approx(vehicle.tolerances["linear-drag.dx"], rel=0.12)
 
 
+def test_heavy_tailed_deviations_are_student_t_up_to_the_clip(vehicle: Vehicle) -> None:
+    build = {"distribution": "student-t", "clip": 2.0}
+    file = WorldFile.model_validate({"description": "x", "tolerances": True, "build": build})
+    tolerance = vehicle.tolerances["mass.factor"]
+    shares = [
+        draw_world("x", file, seed, vehicle).deviations["mass", "factor"] / tolerance for seed in range(600)
+    ]
+    assert max(map(abs, shares)) == pytest.approx(2.0)
+    # P(|t| > 2) with 3 degrees of freedom is 0.139, and P(|t| > 1) 0.391.
+    assert np.mean([abs(share) > 1.9999 for share in shares]) == pytest.approx(0.139, abs=0.04)
+    assert np.mean([abs(share) > 1.0 for share in shares]) == pytest.approx(0.391, abs=0.06)
+
+
+def test_place_or_length_is_drawn_from_the_interval_of_the_file(vehicle: Vehicle) -> None:
+    draw = {
+        "count": (1, 1),
+        "kinds": ("slung-payload",),
+        "uniform": {"slung-payload.length_m": (0.8, 0.9)},
+    }
+    file = WorldFile.model_validate({"description": "x", "tolerances": True, "draw": draw})
+    drawn = [draw_world("x", file, seed, vehicle).effects["slung-payload"] for seed in range(20)]
+    assert all(0.8 <= values["length_m"] <= 0.9 for values in drawn)
+    assert all(0.02 <= values["damping"] <= 0.06 for values in drawn)
+
+
 def test_world_without_tolerances_is_neutral(vehicle: Vehicle) -> None:
     world = draw_world("quiet", load_world("quiet")[1], 3, vehicle)
     assert world.value("thrust-gain", "gain") == 1.0

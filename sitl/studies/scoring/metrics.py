@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from scipy.stats import binomtest
 
+from trimtab.sitl.studies.scoring.counts import interval, mean, quantile, share
+from trimtab.sitl.studies.scoring.detection import by_kind, by_outside_kind, detection_curves
+from trimtab.sitl.studies.scoring.probabilities import calibration
 from trimtab.sitl.studies.worlds import THIN
 
 SURE_SIGMA = 15.0
@@ -24,62 +26,78 @@ THIN_GOOD = OUTCOMES[:4]
 
 TRACING = "trimtab trace"
 FAMILIES = ("force", "torque", "timing", "aerodynamic")
-CLASSES = ("single", "pair", "none", "outside", "thin")
+CLASSES = ("single", "pair", "triple", "none", "outside", "thin")
+EFFECTS = CLASSES[:3]
+"""Classes of worlds that hold effects of the library, with complete data."""
+
+TRUTHS = ("true", "drawn")
+"""Truths of a parameter: its effective value, and the one that the plant was drawn with."""
+
+_SUFFIX = {"true": "", "drawn": "_drawn"}
+_ROWS = {"none": "nothing", "pair": "a pair", "triple": "three effects"}
+"""Rows of the confusion table; in other classes, the kind."""
+
 Scores = Sequence[Mapping[str, Any]]
-
-
-def exact_interval(hits: int, count: int, confidence: float = 0.95) -> tuple[float, float]:
-    """Return the Clopper-Pearson interval of `hits` in `count`. Raises ValueError for an impossible count."""
-    if not 0 <= hits <= count or count < 1:
-        raise ValueError(f"{hits} hits of {count} are impossible")
-    interval = binomtest(hits, count).proportion_ci(confidence, method="exact")
-    return float(interval.low), float(interval.high)
 
 
 def summary(scores: Scores) -> dict[str, Any]:
     """Return the figures of a study as plain data, by JSON key; None if nothing was counted.
 
     `n` and `interval` have the keys of the figures. `by_family` repeats coverage and width by family. `thin`
-    counts outcomes by case.
+    counts outcomes by case. `probabilities` is the calibration by kind of data; `detection`, `by_kind` and
+    `by_outside_kind` are of the module `detection`. Keys with `_drawn` compare with drawn values.
     """
     by_class = {c: [s for s in scores if s["class"] == c] for c in CLASSES}
-    inside, thin = [*by_class["single"], *by_class["pair"]], by_class["thin"]
+    inside, thin = [s for c in EFFECTS for s in by_class[c]], by_class["thin"]
     hits = _hits(by_class)
     rows = [row for s in inside for row in s["parameters"]]
-    errors = relative_errors(inside)
-    covered = [_covers(row) for row in rows]
+    covered, covered_drawn = ([_covers(row, truth) for row in rows] for truth in TRUTHS)
+    errors = {truth: relative_errors(inside, truth) for truth in TRUTHS}
     widths = [row["sd"] / row["bound_sd"] for row in rows if row["sd"]]
     judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
     over = [s["after_m"] / s["floor_m"] for s in judged]
     sizes = [size for s in inside for size in s["alias_sizes"]]
     times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
-    steady = [e["error"] for e in errors if e["family"] != "torque"]
-    turning = [e["error"] for e in errors if e["family"] == "torque"]
+    steady, turning = (
+        {
+            truth: [e["error"] for e in errors[truth] if (e["family"] == "torque") == torque]
+            for truth in TRUTHS
+        }
+        for torque in (False, True)
+    )
     thin_cases = {case: [s for s in thin if s["case"] == case] for case in THIN}
     return {
-        **{name: _share(flags) for name, flags in hits.items()},
-        "alias_size_mean": _mean(sizes),
+        **{name: share(flags) for name, flags in hits.items()},
+        "alias_size_mean": mean(sizes),
         "alias_size_max": max(sizes, default=None),
-        "parameter_error_median": _quantile(steady, 0.5),
-        "parameter_error_p90": _quantile(steady, 0.9),
-        "parameter_error_torque_median": _quantile(turning, 0.5),
-        "parameter_error_torque_p90": _quantile(turning, 0.9),
-        "coverage_2sigma": _share(covered),
-        "width_over_bound": _quantile(widths, 0.5),
+        **{
+            f"parameter_error{family}_{name}{_SUFFIX[truth]}": quantile(found[truth], level)
+            for truth in TRUTHS
+            for family, found in (("", steady), ("_torque", turning))
+            for name, level in (("median", 0.5), ("p90", 0.9))
+        },
+        "coverage_2sigma": share(covered),
+        "coverage_2sigma_drawn": share(covered_drawn),
+        "width_over_bound": quantile(widths, 0.5),
         "by_family": {name: _family([row for row in rows if row["family"] == name]) for name in FAMILIES},
+        "probabilities": calibration(scores),
+        "detection": detection_curves(scores),
+        "by_kind": by_kind(scores),
+        "by_outside_kind": by_outside_kind(scores),
         "thin": {case: _thin(group) for case, group in thin_cases.items() if group},
-        "after_over_floor_median": _quantile(over, 0.5),
-        "after_over_floor_p90": _quantile(over, 0.9),
+        "after_over_floor_median": quantile(over, 0.5),
+        "after_over_floor_p90": quantile(over, 0.9),
         "before_mm_median": _millimetres(judged, "before_m"),
         "after_mm_median": _millimetres(judged, "after_m"),
         "floor_mm_median": _millimetres(judged, "floor_m"),
-        "trace_s_median": _quantile(times, 0.5),
+        "trace_s_median": quantile(times, 0.5),
         "trace_s_max": max(times, default=None),
+        "redrawn": sum(s["redrawn"] > 0 for s in scores),
         "n": {
             **{name: len(flags) for name, flags in hits.items()},
             "alias_size_mean": len(sizes),
-            "parameter_error": len(steady),
-            "parameter_error_torque": len(turning),
+            **{f"parameter_error{_SUFFIX[truth]}": len(steady[truth]) for truth in TRUTHS},
+            **{f"parameter_error_torque{_SUFFIX[truth]}": len(turning[truth]) for truth in TRUTHS},
             "coverage_2sigma": len(covered),
             "width_over_bound": len(widths),
             "after_over_floor": len(over),
@@ -87,26 +105,31 @@ def summary(scores: Scores) -> dict[str, Any]:
             "worlds": len(scores),
         },
         "interval": {
-            **{name: _interval(flags) for name, flags in hits.items()},
-            "coverage_2sigma": _interval(covered),
+            **{name: interval(flags) for name, flags in hits.items()},
+            "coverage_2sigma": interval(covered),
+            "coverage_2sigma_drawn": interval(covered_drawn),
         },
     }
 
 
 def _hits(by_class: Mapping[str, Scores]) -> dict[str, list[bool]]:
     """Return for each share of worlds whether each world that counts is a hit."""
-    single, pair, none = by_class["single"], by_class["pair"], by_class["none"]
-    outside, thin = by_class["outside"], by_class["thin"]
-    inside = [*single, *pair]
+    none, outside, thin = by_class["none"], by_class["outside"], by_class["thin"]
+    inside = [s for c in EFFECTS for s in by_class[c]]
+    exact = {
+        f"{name}_exact{suffix}": [s["exact"] for s in by_class[c] if s["identifiable"] or not only]
+        for name, c in (("singles", "single"), ("pairs", "pair"), ("triples", "triple"))
+        for suffix, only in (("_identifiable", True), ("", False))
+    }
     return {
-        "top1": [s["top1"] for s in single if s["identifiable"]],
-        "top1_all": [s["top1"] for s in single],
-        "pairs_exact": [s["exact"] for s in pair],
-        "pairs_exact_identifiable": [s["exact"] for s in pair if s["identifiable"]],
+        **exact,
+        "top1": [s["top1"] for s in by_class["single"] if s["identifiable"]],
+        "top1_all": [s["top1"] for s in by_class["single"]],
         "in_alias": [s["in_alias"] for s in inside],
         "in_alias_identifiable": [s["in_alias"] for s in inside if s["identifiable"]],
         "false_alarm": [s["verdict"] != "nothing-missing" for s in none],
-        "abstain_outside": [s["verdict"] == "outside-library" for s in outside],
+        "abstain_outside": [s["verdict"] == "outside-library" for s in outside if s["detectable"]],
+        "abstain_undetectable": [s["verdict"] == "outside-library" for s in outside if not s["detectable"]],
         "abstain_inside": [s["verdict"] == "outside-library" for s in inside],
         "thin_wrong": [s["wrong"] for s in thin],
         "thin_told": [s["told"] for s in thin],
@@ -114,13 +137,15 @@ def _hits(by_class: Mapping[str, Scores]) -> dict[str, list[bool]]:
 
 
 def _family(rows: Scores) -> dict[str, Any]:
-    """Return coverage and width of the parameters of one family."""
-    covered = [_covers(row) for row in rows]
+    """Return coverage, of effective and of drawn values, and width of the parameters of one family."""
+    covered, covered_drawn = ([_covers(row, truth) for row in rows] for truth in TRUTHS)
     return {
-        "coverage_2sigma": _share(covered),
-        "interval": _interval(covered),
+        "coverage_2sigma_drawn": share(covered_drawn),
+        "interval_drawn": interval(covered_drawn),
+        "coverage_2sigma": share(covered),
+        "interval": interval(covered),
         "n": len(covered),
-        "width_over_bound": _quantile((row["sd"] / row["bound_sd"] for row in rows if row["sd"]), 0.5),
+        "width_over_bound": quantile((row["sd"] / row["bound_sd"] for row in rows if row["sd"]), 0.5),
     }
 
 
@@ -140,10 +165,11 @@ def _thin(scores: Scores) -> dict[str, int]:
     return {"n": len(scores), **counts, "told": sum(s["told"] for s in scores)}
 
 
-def relative_errors(scores: Scores) -> list[dict[str, Any]]:
+def relative_errors(scores: Scores, truth: str = "true") -> list[dict[str, Any]]:
     """Return errors over the truth's distance from neutral, for truths of typical size and SURE_SIGMA.
 
-    Two values that were drawn as one vector count as one: the length of the error over that of the vector.
+    `truth` is one of TRUTHS. Two values that were drawn as one vector count as one: the length of the error
+    over that of the vector.
     """
     out = []
     for score in scores:
@@ -152,10 +178,10 @@ def relative_errors(scores: Scores) -> list[dict[str, Any]]:
             key = "" if row["turned"] else row["key"]
             groups.setdefault((row["effect"], key), []).append(row)
         for (effect, key), rows in groups.items():
-            size = float(np.linalg.norm([r["true"] - r["neutral"] for r in rows]))
+            size = float(np.linalg.norm([r[truth] - r["neutral"] for r in rows]))
             if size < rows[0]["typical"] or size < SURE_SIGMA * max(r["bound_sd"] for r in rows):
                 continue
-            off = [_estimate(r) - r["true"] for r in rows]
+            off = [_estimate(r) - r[truth] for r in rows]
             out.append(
                 {
                     "world": score["world"],
@@ -169,10 +195,12 @@ def relative_errors(scores: Scores) -> list[dict[str, Any]]:
 
 
 def is_right(score: Mapping[str, Any]) -> bool:
-    """Return whether a verdict is correct."""
+    """Return whether a verdict is correct. Where nothing can be detected, it must name nothing for sure."""
     if score["class"] == "thin":
         return score["told"] and outcome(score) in THIN_GOOD
     wanted = {"none": "nothing-missing", "outside": "outside-library"}
+    if score["class"] == "outside" and not score["detectable"]:
+        return score["verdict"] != "traced"
     if score["class"] in wanted:
         return score["verdict"] == wanted[score["class"]]
     return bool(score["exact"])
@@ -221,28 +249,30 @@ def _baseline_row(method: str, said: Sequence[tuple[str, Mapping[str, Any]]]) ->
         "pairs_exact": [one["exact"] for kind_class, one in naming if kind_class == "pair"],
         "false_alarm": [bool(one["names"]) for kind_class, one in naming if kind_class == "none"],
     }
-    counts = [len(one["names"]) for kind_class, one in naming if kind_class in ("single", "pair")]
+    counts = [len(one["names"]) for kind_class, one in naming if kind_class in EFFECTS]
     errors = [1e3 * one["after_m"] for _, one in said if one["after_m"] is not None]
     return {
         "method": method,
-        **{name: _share(found) for name, found in hits.items()},
-        "named_mean": _mean(counts),
-        "after_mm_median": _quantile(errors, 0.5),
+        **{name: share(found) for name, found in hits.items()},
+        "named_mean": mean(counts),
+        "after_mm_median": quantile(errors, 0.5),
         "n": {name: len(found) for name, found in hits.items()},
     }
 
 
 def confusion(scores: Scores) -> dict[str, dict[str, int]]:
-    """Count worlds by the truth (a kind, a pair of kinds, or nothing) and the effect named first.
+    """Count worlds by the truth (a kind, a set of kinds, or nothing) and the effect named first.
 
     A verdict without names counts under its own name. Thin data are left out.
     """
     scores = [s for s in scores if s["class"] != "thin"]
     table: dict[str, dict[str, int]] = {}
-    order = ("single", "outside", "pair", "none")
+    order = ("single", "outside", "pair", "triple", "none")
     for s in sorted(scores, key=lambda s: (order.index(s["class"]), s["kinds"])):
-        row = {"none": "nothing", "pair": "a pair"}.get(s["class"]) or s["kinds"][0]
-        column = "exact set" if s["class"] == "pair" and s["exact"] else _column(s)
+        row = {"none": "nothing", "pair": "a pair", "triple": "three effects"}.get(s["class"]) or s["kinds"][
+            0
+        ]
+        column = "exact set" if s["class"] in EFFECTS[1:] and s["exact"] else _column(s)
         table.setdefault(row, {})
         table[row][column] = table[row].get(column, 0) + 1
     return table
@@ -256,27 +286,10 @@ def _estimate(row: Mapping[str, Any]) -> float:
     return row["neutral"] if row["estimate"] is None else row["estimate"]
 
 
-def _covers(row: Mapping[str, Any]) -> bool:
-    return row["estimate"] is not None and abs(row["estimate"] - row["true"]) <= 2.0 * row["sd"]
-
-
-def _share(found: Sequence[bool]) -> float | None:
-    return sum(found) / len(found) if found else None
-
-
-def _interval(found: Sequence[bool]) -> list[float] | None:
-    return list(exact_interval(sum(found), len(found))) if found else None
-
-
-def _mean(values: Sequence[float]) -> float | None:
-    return float(np.mean(values)) if values else None
-
-
-def _quantile(values: Iterable[float], share: float) -> float | None:
-    found = list(values)
-    return float(np.quantile(found, share)) if found else None
+def _covers(row: Mapping[str, Any], truth: str) -> bool:
+    return row["estimate"] is not None and abs(row["estimate"] - row[truth]) <= 2.0 * row["sd"]
 
 
 def _millimetres(scores: Scores, key: str) -> float | None:
-    value = _quantile([s[key] for s in scores if s[key] is not None], 0.5)
+    value = quantile([s[key] for s in scores if s[key] is not None], 0.5)
     return None if value is None else 1e3 * value

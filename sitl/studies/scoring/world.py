@@ -8,11 +8,13 @@ from typing import Any
 
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import read_flight
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.parameters import space
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
-from trimtab.sitl.studies.flights import SCORE, STILL, TRUTH, VERDICT, Programme
+from trimtab.sitl.studies.flights import FEW, FLIGHTS, PLAIN, SCORE, STILL, TRUTH, VERDICT, Programme
+from trimtab.sitl.studies.scoring.detection import detection_rows
 from trimtab.sitl.studies.scoring.effective import (
     Effective,
     effective,
@@ -22,9 +24,11 @@ from trimtab.sitl.studies.scoring.effective import (
     off_by,
 )
 from trimtab.sitl.studies.scoring.names import Ratio, collapsed, ordered, ratios
+from trimtab.sitl.studies.scoring.outside import outside_sigma
+from trimtab.sitl.studies.scoring.probabilities import probability_rows
 from trimtab.sitl.studies.thin import CASES
 
-INSIDE = ("single", "pair", "none")
+INSIDE = ("single", "pair", "triple", "none")
 """Classes of worlds whose effects are all in the library and whose data suffice to compare numbers."""
 
 
@@ -51,30 +55,45 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
     truth = open_truth(folder, ledger)
     verdict = read_json(folder / VERDICT)
     vehicle, effects = load_vehicle(truth["vehicle"]), library()
-    known = floor = None
-    if truth["class"] in INSIDE:
+    chosen, drawn, deviations = space(vehicle, effects), truth["effects"], truth["deviations"]
+    known = floor = sigma = None
+    if truth["class"] != "thin":
         learning, held_out = (
-            [read_flight(folder / "flights" / log) for log in programme.logs(routes)]
+            [read_flight(folder / FLIGHTS / log) for log in programme.logs(routes)]
             for routes in (programme.learning, programme.held_out)
         )
-        chosen, drawn, deviations = space(vehicle, effects), truth["effects"], truth["deviations"]
-        if drawn:
-            still = [read_flight(log) for log in sorted((folder / STILL).glob("*.mcap"))]
+        still, plain = (
+            [read_flight(log) for log in sorted((folder / place).glob("*.mcap"))] for place in (STILL, PLAIN)
+        )
+        if truth["class"] == "outside":
+            sigma = outside_sigma(vehicle, chosen, deviations, still, plain, learning)
+        elif drawn:
             known = effective(vehicle, chosen, drawn, deviations, still, learning)
-        values = off_by(chosen, deviations) if known is None else known.values
-        floor = floor_m(vehicle, effects, values, drawn, held_out)
+        if truth["class"] in INSIDE:
+            values = off_by(chosen, deviations) if known is None else known.values
+            floor = floor_m(vehicle, effects, values, drawn, held_out)
+    judged = judge(truth["kinds"], verdict, None if known is None else nearest(known), effects)
     score = {
         "world": folder.name,
         "class": truth["class"],
         "kinds": truth["kinds"],
         "case": truth["case"],
         "plant": truth["plant"],
+        "redrawn": truth["redrawn"],
         "drawn": truth["effects"],
         "true": {} if known is None else known.true(),
-        **judge(truth["kinds"], verdict, None if known is None else nearest(known), effects),
+        **judged,
+        "outside_sigma": sigma,
+        "detectable": None if sigma is None else sigma >= RULES.detectable_sigma,
+        "detection": [] if known is None else detection_rows(truth, judged, known, effects),
         "parameters": parameter_rows(truth, verdict["answer"], known),
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
+        "few": {
+            data: judge_few(truth["kinds"], read_json(folder / file), effects)
+            for data, file in FEW.items()
+            if (folder / file).is_file()
+        },
     }
     write_json(folder / SCORE, score)
     return score
@@ -132,14 +151,25 @@ def judge(
         "identifiable": identifiable,
         "separation": separations,
         "wrong": said == "traced" and not names <= truth,
+        "false_names": [n for n in first if alike([n]) & (names - truth)] if said == "traced" else [],
         "top1": bool(first) and right and decided,
         "exact": bool(first) and names == truth and decided,
         "in_alias": bool(kinds) and truth <= alike({*first, *aliases}),
         "alias_sizes": sizes,
+        "probabilities": probability_rows(answer, kinds, effects),
         "before_m": before.get("position_rmse_m"),
         "after_m": after.get("position_rmse_m"),
         "trace_s": verdict["trace_s"],
     }
+
+
+def judge_few(
+    kinds: Sequence[str], verdict: Mapping[str, Any], effects: Mapping[str, Effect]
+) -> dict[str, Any]:
+    """Compare a verdict on few flights with the world, as `judge` does, without what needs all flights."""
+    judged = judge(kinds, verdict, None, effects)
+    keys = ("exit_code", "errors", "verdict", "named", "wrong", "probabilities", "trace_s")
+    return {key: judged[key] for key in keys}
 
 
 def parameter_rows(
@@ -147,8 +177,9 @@ def parameter_rows(
 ) -> list[dict[str, Any]]:
     """Return a row with truth, estimate, sd, bound and typical size for each parameter of each named effect.
 
-    Only true effects count. For exact aliases (mass and thrust gain), the row is their observable ratio. A
-    parameter off neutral that is not among the named keys (another rotor) has no estimate.
+    Only true effects count. `true` is the effective value, `drawn` the one that the plant has. For exact
+    aliases (mass and thrust gain), the row is their observable ratio. A parameter off neutral that is not
+    among the named keys (another rotor) has no estimate.
     """
     found = {e["name"]: e["parameters"] for e in answer.get("effects", ())}
     if known is None:
@@ -157,12 +188,15 @@ def parameter_rows(
     of_ratio = {name: ratio for ratio in ratios(effects) for name in ratio.alike}
     for name, values in known.true().items():
         if name in of_ratio:
-            rows += _ratio_row(name, of_ratio[name], found, known)
+            rows += _ratio_row(truth, name, of_ratio[name], found, known)
             continue
         if name not in found:
             continue
         over = effects[name].observed_relative_to
-        relative_to = 1.0 if over is None else known.values[over][effects[over].keys[0]]
+        relative_to = relative_to_drawn = 1.0
+        if over is not None:
+            (key, *_) = effects[over].keys
+            relative_to, relative_to_drawn = known.values[over][key], _as_drawn(truth, known, over, key)
         for i in known.space.owners[name]:
             column = known.space.columns[i]
             if truth["effects"][name].get(column.key, column.neutral) == column.neutral:
@@ -175,6 +209,7 @@ def parameter_rows(
                     "family": effects[name].family,
                     "turned": KINDS[name].spread == "turned",
                     "true": values[column.key] / relative_to,
+                    "drawn": _as_drawn(truth, known, name, column.key) / relative_to_drawn,
                     "estimate": None if estimate is None else estimate["value"],
                     "sd": None if estimate is None else estimate["sd"],
                     "bound_sd": known.bound_sd(name, column.key),
@@ -185,7 +220,17 @@ def parameter_rows(
     return rows
 
 
-def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effective) -> list[dict[str, Any]]:
+def _as_drawn(truth: Mapping[str, Any], known: Effective, owner: str, key: str) -> float:
+    """Return the value that a parameter was drawn with: that of the effect, else that of the build."""
+    if owner in truth["effects"]:
+        return truth["effects"][owner][key]
+    (neutral,) = (c.neutral for c in known.space.columns if (c.owner, c.key) == (owner, key))
+    return neutral + truth["deviations"].get(f"{owner}.{key}", 0.0)
+
+
+def _ratio_row(
+    truth: Mapping[str, Any], name: str, ratio: Ratio, found: Mapping[str, Any], known: Effective
+) -> list[dict[str, Any]]:
     """Return the row of a ratio if either effect was named, to first order in the standard deviations."""
     if not ratio.alike & set(found):
         return []
@@ -194,6 +239,7 @@ def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effecti
         for e in (ratio.over, ratio.under)
     )
     true_over, true_under = (known.values[e.name][e.keys[0]] for e in (ratio.over, ratio.under))
+    drawn_over, drawn_under = (_as_drawn(truth, known, e.name, e.keys[0]) for e in (ratio.over, ratio.under))
     estimate = over["value"] / under["value"]
     share = ((over["sd"] / over["value"]) ** 2 + (under["sd"] / under["value"]) ** 2) ** 0.5
     (key,) = known.true()[name]
@@ -204,6 +250,7 @@ def _ratio_row(name: str, ratio: Ratio, found: Mapping[str, Any], known: Effecti
             "family": known.space.effects[name].family,
             "turned": False,
             "true": true_over / true_under,
+            "drawn": drawn_over / drawn_under,
             "estimate": estimate,
             "sd": estimate * share,
             "bound_sd": known.bound_sd(name, key),

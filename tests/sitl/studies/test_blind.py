@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +17,22 @@ import pytest
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import alone_in
+from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle.strict_toml import read_strict
+from trimtab.sitl.draw import draw_world
 from trimtab.sitl.studies import blind
 from trimtab.sitl.studies.files import Ledger, SealBroken, read_json, sha256_of
-from trimtab.sitl.studies.flights import SCORE, TRUTH, VERDICT, Programme, fly_and_seal, plan_references
-from trimtab.sitl.studies.worlds import PlannedWorld
+from trimtab.sitl.studies.flights import (
+    FLIGHTS,
+    SCORE,
+    TRUTH,
+    VERDICT,
+    Programme,
+    fly_and_seal,
+    plan_references,
+)
+from trimtab.sitl.studies.worlds import PlannedWorld, redrawn_seed
+from trimtab.sitl.world import WorldFile
 
 ROOT = Path(__file__).parents[3]
 KEYS = set(
@@ -49,13 +62,17 @@ import json, sys
 from pathlib import Path
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.pieces import alone_in
+from trimtab.host.vehicle import load_vehicle
+from trimtab.host.vehicle.strict_toml import read_strict
+from trimtab.sitl.draw import draw_world
 from trimtab.sitl.studies import blind
 from trimtab.sitl.studies.flights import Programme
 
 def main():
     programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))
     outcome = blind.run(
-        folder=Path(sys.argv[1]), seed=3, worlds=5, vehicle="research", jobs=2, programme=programme,
+        folder=Path(sys.argv[1]), seed=3, worlds=6, few_flights=0.5, vehicle="research", jobs=2,
+        programme=programme,
         on_progress=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
     )
     print(json.dumps(outcome["answer"]))
@@ -118,11 +135,11 @@ def test_killed_study_goes_on_and_leaves_what_was_done(
     study: Path, killed: dict[Path, str], answer: dict[str, Any]
 ) -> None:
     scored = [path for path in killed if path.name == SCORE]
-    assert 1 <= len(scored) < 5
+    assert 1 <= len(scored) < 6
     after = dict(stages(study))
     assert {path: after[path] for path in killed} == killed
-    assert len(after) == 15
-    assert answer["n"]["worlds"] == 5
+    assert len(after) == 18
+    assert answer["n"]["worlds"] == 6
     assert set(answer) >= KEYS
     assert not list((study / "state").glob("worlds/*/trace"))
 
@@ -146,7 +163,14 @@ def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
     study: Path, answer: dict[str, Any], short_programme: Programme
 ) -> None:
     def again(**other: Any) -> dict[str, Any]:
-        usual = {"seed": 3, "worlds": 5, "vehicle": "research", "jobs": 1, "programme": short_programme}
+        usual = {
+            "seed": 3,
+            "worlds": 6,
+            "few_flights": 0.5,
+            "vehicle": "research",
+            "jobs": 1,
+            "programme": short_programme,
+        }
         return blind.run(folder=study / "state", **{**usual, **other})["answer"]
 
     assert again() == answer
@@ -192,3 +216,34 @@ def test_folder_in_use_is_refused(tmp_path: Path, short_programme: Programme) ->
         alone_in(tmp_path),
     ):
         pass
+
+
+def test_world_that_the_vehicle_cannot_fly_is_drawn_again(
+    tmp_path: Path, short_programme: Programme, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Late and slow motors make it tip over. The next draw is flown, and the truth says which it was."""
+    references = plan_references(tmp_path, "research", short_programme)
+    kinds = ("actuation-delay", "motor-lag")
+    usual = PlannedWorld(name="0000", kind_class="pair", kinds=kinds, seed=0, turbulence=1.0, wide=True)
+    text = usual.toml().replace("size = [0.2, 4.0]", "size = [1.0, 8.0]")
+    monkeypatch.setattr(PlannedWorld, "toml", lambda self, *, still=False: text)
+    vehicle, file = load_vehicle("research"), read_strict(text, "w", WorldFile)
+
+    def lateness(seed: int) -> tuple[float, float]:
+        drawn = draw_world("w", file, seed, vehicle)
+        return drawn.effects["actuation-delay"]["delay_s"], drawn.effects["motor-lag"]["extra_s"]
+
+    seed = next(
+        seed
+        for seed in range(5000)
+        if min(a / b for a, b in zip(lateness(seed), (0.028, 0.075), strict=True)) > 1.0
+        and max(a / b for a, b in zip(lateness(redrawn_seed(seed, 1)), (0.010, 0.026), strict=True)) < 1.0
+    )
+    folder = tmp_path / "0000"
+    folder.mkdir()
+    programme = replace(short_programme, repeats=1)
+    fly_and_seal(replace(usual, seed=seed), folder, references, "research", programme)
+    truth = read_json(folder / TRUTH)
+    assert (truth["redrawn"], truth["seed"]) == (1, redrawn_seed(seed, 1))
+    assert truth["effects"]["motor-lag"]["extra_s"] == lateness(truth["seed"])[1]
+    assert {path.name for path in (folder / FLIGHTS).iterdir()} == {"one-1.mcap", "two.mcap"}

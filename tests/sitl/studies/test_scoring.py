@@ -18,18 +18,19 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references
 from trimtab.sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
+from trimtab.sitl.studies.scoring.counts import exact_interval
+from trimtab.sitl.studies.scoring.detection import detection_rows
 from trimtab.sitl.studies.scoring.effective import Effective, effective, nearest
 from trimtab.sitl.studies.scoring.metrics import (
     baseline_rows,
     confusion,
-    exact_interval,
     is_right,
     relative_errors,
     summary,
 )
 from trimtab.sitl.studies.scoring.names import collapsed, ratios
 from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
-from trimtab.sitl.studies.table import failure, lines
+from trimtab.sitl.studies.table import failure, lines, truth_table
 from trimtab.sitl.studies.thin import CASES
 from trimtab.sitl.studies.worlds import SAME_RATIO, PlannedWorld
 
@@ -120,7 +121,8 @@ def test_effects_that_show_as_ratios_are_the_kinds_that_make_no_pair() -> None:
 
 
 def test_a_parameter_that_shows_relative_to_another_is_scored_on_the_quotient() -> None:
-    truth = {"effects": {"inertia": {"x": 1.32, "y": 1.0, "z": 1.0}}}
+    truth: dict[str, Any] = {"effects": {"inertia": {"x": 1.3, "y": 1.0, "z": 1.0}}}
+    truth["deviations"] = {"thrust-gain.gain": 0.04}
     z, eye = np.zeros(len(SPACE.columns)), np.eye(len(SPACE.columns))
     for owner, value in (("inertia", 1.32), ("thrust-gain", 1.1)):
         index = SPACE.owners[owner][0]
@@ -129,17 +131,19 @@ def test_a_parameter_that_shows_relative_to_another_is_scored_on_the_quotient() 
     (found,) = parameter_rows(truth, verdict("traced", "inertia")["answer"], known)
     assert (found["key"], found["family"]) == ("x", "torque")
     assert found["true"] == pytest.approx(1.2)
+    assert found["drawn"] == pytest.approx(1.3 / 1.04)
 
 
 def test_mass_named_as_thrust_gain_is_scored_on_the_ratio() -> None:
     assert judge(["mass"], verdict("traced", "thrust-gain"), CLEAR, EFFECTS)["exact"]
-    truth = {"effects": {"mass": {"factor": 1.25}}}
+    truth: dict[str, Any] = {"effects": {"mass": {"factor": 1.28}}, "deviations": {}}
     answer = verdict("traced", "thrust-gain")["answer"]
     answer["effects"][0]["parameters"]["gain"] = {"value": 0.81, "sd": 0.004, "unit": "1"}
     known = told(mass=1.25)
     (row,) = parameter_rows(truth, answer, known)
     assert row["bound_sd"] == pytest.approx(0.1 * SPACE.columns[SPACE.owners["mass"][0]].scale)
     assert row["true"] == pytest.approx(0.8)
+    assert row["drawn"] == pytest.approx(1.0 / 1.28)
     assert (row["estimate"], row["sd"]) == (pytest.approx(0.81), pytest.approx(0.004))
 
 
@@ -152,7 +156,7 @@ def told(*, mass: float) -> Effective:
 
 
 def row(effect: str, key: str, family: str, **numbers: Any) -> dict[str, Any]:
-    usual = {"turned": False, "neutral": 0.0, "typical": 1.0, "bound_sd": 0.01}
+    usual = {"turned": False, "neutral": 0.0, "typical": 1.0, "bound_sd": 0.01, "drawn": numbers["true"]}
     return {"effect": effect, "key": key, "family": family, **usual, **numbers}
 
 
@@ -163,6 +167,10 @@ def score(kind_class: str, kinds: list[str], said: dict[str, Any], **more: Any) 
         **base,
         "case": None,
         "told": None,
+        "few": {},
+        "redrawn": 0,
+        "detection": [],
+        "detectable": True if kind_class == "outside" else None,
         "baselines": None,
         **judge(kinds, said, known, EFFECTS),
         **more,
@@ -197,9 +205,18 @@ SCORES = [
 ]
 
 
+def test_true_first_name_with_a_false_second_one_is_a_miss_of_the_exact_set() -> None:
+    both = score("single", ["motor-lag"], verdict("traced", "motor-lag", "quadratic-drag"))
+    assert (both["top1"], both["exact"]) == (True, False)
+    found = summary([both, SCORES[0]])
+    assert (found["top1"], found["singles_exact_identifiable"]) == (1.0, 0.5)
+
+
 def test_summary_of_known_scores_is_counted_right() -> None:
     found = summary(SCORES)
     assert (found["top1"], found["n"]["top1"]) == (0.5, 2)
+    assert (found["singles_exact_identifiable"], found["singles_exact"]) == (0.5, 0.5)
+    assert (found["triples_exact"], found["n"]["triples_exact"]) == (None, 0)
     assert (found["pairs_exact"], found["false_alarm"], found["abstain_outside"]) == (1.0, 0.5, 0.5)
     assert (found["in_alias"], found["abstain_inside"]) == (pytest.approx(2 / 3), 0.0)
     # 0.1 of 2, and (0, 0.5) of the vector (3, 4).
@@ -211,9 +228,87 @@ def test_summary_of_known_scores_is_counted_right() -> None:
         "interval": None,
         "n": 0,
         "width_over_bound": None,
+        "coverage_2sigma_drawn": None,
+        "interval_drawn": None,
     }
     assert found["width_over_bound"] == pytest.approx(10.0)
     assert found["after_over_floor_median"] == pytest.approx(1.025)
+
+
+def test_truth_is_in_two_columns_the_effective_and_the_drawn_one() -> None:
+    near = row("motor-lag", "extra_s", "timing", true=2.0, drawn=2.2, estimate=2.03, sd=0.02)
+    far = row("motor-lag", "extra_s", "timing", true=2.0, drawn=0.5, estimate=2.03, sd=0.02)
+    said = verdict("traced", "motor-lag")
+    found = summary([score("single", ["motor-lag"], said, parameters=[each]) for each in (near, far)])
+    assert found["parameter_error_median"] == pytest.approx(0.015)
+    # The drawn value of the second world is below typical, so its error does not count.
+    assert found["parameter_error_median_drawn"] == pytest.approx(0.17 / 2.2)
+    assert (found["n"]["parameter_error"], found["n"]["parameter_error_drawn"]) == (2, 1)
+    assert (found["coverage_2sigma"], found["coverage_2sigma_drawn"]) == (1.0, 0.0)
+    assert found["by_family"]["timing"]["coverage_2sigma_drawn"] == 0.0
+    cells = {cell["figure"]: (cell["effective"], cell["drawn"]) for cell in truth_table(found)}
+    assert cells["parameter error, median"] == ("1.5 %", "7.7 %")
+    assert cells["2-sigma coverage, timing"] == ("100.0 % (15.8-100.0 %)", "0.0 % (0.0-84.2 %)")
+
+
+def test_only_detectable_outside_worlds_count_for_abstention_and_the_rest_has_its_own_row() -> None:
+    weak = {"detectable": False, "outside_sigma": 2.0}
+    quiet = score("outside", ["elastic-tether"], verdict("nothing-missing"), **weak)
+    false = score("outside", ["elastic-tether"], verdict("traced", "wind"), **weak)
+    found = summary([*SCORES, quiet, false])
+    assert (found["abstain_outside"], found["n"]["abstain_outside"]) == (0.5, 2)
+    assert (found["abstain_undetectable"], found["n"]["abstain_undetectable"]) == (0.0, 2)
+    assert [is_right(quiet), is_right(false)] == [True, False]
+    assert failure(false) == "elastic-tether, not detectable: traced, wind"
+    assert found["by_outside_kind"]["elastic-tether"] == {
+        "worlds": 3,
+        "detectable": 1,
+        "abstained_detectable": 1,
+        "abstained_rest": 0,
+        "false": 1,
+    }
+
+
+def seen(effect: str, sigma: float, tolerances: float, *, found: bool) -> dict[str, Any]:
+    return {"effect": effect, "sigma": sigma, "tolerances": tolerances, "found": found}
+
+
+def test_effects_found_are_counted_by_size_and_by_kind() -> None:
+    pair = score("pair", ["motor-lag", "wind"], verdict("traced", "motor-lag", "thrust-gain"))
+    pair["detection"] = [seen("motor-lag", 5.0, 20.0, found=True), seen("wind", 1.0, 3.0, found=False)]
+    single = score("single", ["motor-lag"], verdict("traced", "motor-lag"))
+    single["detection"] = [seen("motor-lag", 4.2, 70.0, found=False)]
+    found = summary([pair, single])
+    assert [(r["low"], r["high"], r["n"], r["found"]) for r in found["detection"]["sigma"]["total"]] == [
+        (0.0, 2.0, 1, 0.0),
+        (4.2, 8.0, 2, 0.5),
+    ]
+    kinds = found["detection"]["tolerances"]["kinds"]
+    assert [(r["low"], r["high"], r["found"]) for r in kinds["motor-lag"]] == [
+        (16.0, 32.0, 1.0),
+        (64.0, None, 0.0),
+    ]
+    lag = found["by_kind"]["motor-lag"]
+    assert (lag["singles"], lag["exact"], lag["all"], lag["found"], lag["false"]) == (1, 1, 2, 1, 0)
+    assert found["by_kind"]["thrust-gain"]["false"] == 1
+    assert found["by_kind"]["wind"]["all"] == 1
+
+
+def test_detection_of_a_world_with_an_alias_named() -> None:
+    truth = {"kinds": ["mass"], "effects": {"mass": {"factor": 1.25}}}
+    said = judge(
+        ["mass"], verdict("traced", "thrust-gain"), {"mass": {"wind": 30.0, "com-offset": 9.0}}, EFFECTS
+    )
+    (found,) = detection_rows(truth, said, told(mass=1.25), EFFECTS)
+    tolerance = SPACE.columns[SPACE.owners["mass"][0]].tolerance
+    assert found == {
+        "effect": "mass",
+        "sigma": 9.0,
+        "tolerances": pytest.approx(0.25 / tolerance),
+        "found": True,
+    }
+    undecided = judge(["mass"], verdict("undecided", "mass"), {"mass": {"wind": 3.0}}, EFFECTS)
+    assert not detection_rows(truth, undecided, told(mass=1.25), EFFECTS)[0]["found"]
 
 
 def test_small_and_weak_truths_have_no_parameter_error() -> None:
@@ -255,7 +350,7 @@ def test_thin_data_are_counted_by_case_and_apart_from_all_else() -> None:
     assert found["thin"]["no gyro"] == {"n": 3, "right": 1, "wrong": 1, "undecided": 1, "told": 2, **none}
     assert found["thin"]["two vehicles"]["refused"] == 1
     without = summary(SCORES)
-    apart = ("thin", "thin_wrong", "thin_told", "n", "interval")
+    apart = ("thin", "thin_wrong", "thin_told", "n", "interval", "probabilities")
     assert {k: v for k, v in found.items() if k not in apart} == {
         k: v for k, v in without.items() if k not in apart
     }
