@@ -21,6 +21,7 @@ from trimtab.host.codegen import CompiledEngine, sx_function
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import World, draw_world
+from trimtab.sitl.gusts import Gusts
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
 from trimtab.sitl.plant_model import TICK_S, Block, battery, cut, next_gust, origin
 from trimtab.sitl.rotors import ground_gain
@@ -38,7 +39,7 @@ BODY = (Block("p_ned", 3), Block("v_ned", 3), Block("q_ned_frd", 4), Block("rate
 _STATE = (*BODY, Block("charge_used_c", 1), Block("gust", 6), Block("payload_ned", 6))
 _INPUTS = (Block("state", sum(size for _, size in _STATE)), Block("command", 4), Block("noise", 6))
 _OUTPUTS = (_INPUTS[0], Block("pose", 10), Block("sensed", 7))
-_SAG_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight in a world with battery-sag
+_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight if the battery discharges
 _LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 _NOISE_BLOCK = 1024
 
@@ -133,14 +134,15 @@ class SteppedPlant:
         if lacking := [kind for kind in world.effects if kind not in known]:
             raise ValueError(f"it cannot have {', '.join(lacking)}; choose from {', '.join(sorted(known))}")
         P, com = plant_parameters(vehicle, world), _com(world)
-        tick = _Tick(equations(craft(vehicle, world)), P, com, vehicle, frozenset(world.effects))
+        discharges = {"battery-sag"} if world.battery.discharges else set[str]()
+        parts = frozenset({*world.effects, *discharges})
+        tick = _Tick(equations(craft(vehicle, world)), P, com, vehicle, parts)
         self._engine = CompiledEngine(sx_function(tick, _INPUTS, _OUTPUTS, "plant"), _INPUTS, _OUTPUTS, "vm")
         self._com, self._line_m, self._full_v = com, P["payload"][1], P["battery"][0]
         rng = np.random.default_rng(seed)
-        depth = rng.uniform(0.0, _SAG_START_DEPTH) if "battery-sag" in world.effects else 0.0
+        depth = rng.uniform(0.0, _START_DEPTH) if "battery-sag" in parts else 0.0
         self._charge_used_c = depth * P["battery"][3]
-        self._gust_sd = np.repeat([world.turbulence.force_m_s2, world.turbulence.torque_rad_s2], 3)
-        self._rng = rng
+        self._gusts = Gusts(world.turbulence, rng)
         delay = world.value("actuation-delay", "delay_s") / TICK_S
         self._late, self._part = int(delay), delay % 1.0
 
@@ -150,7 +152,7 @@ class SteppedPlant:
         p = [a + b for a, b in zip(p_ned, place, strict=True)]
         if p_ned[2] == 0.0:
             p[2] += SINK_M
-        gusts = self._rng.standard_normal(6) * self._gust_sd
+        gusts = self._gusts.start()
         hanging = [*self._hanging(p_ned), 0.0, 0.0, 0.0]
         body = [*p, 0.0, 0.0, 0.0, *q_ned_frd, *[0.0] * 7]
         out = self._engine.outputs
@@ -168,7 +170,7 @@ class SteppedPlant:
             later, earlier = self._sent[1], self._sent[0]
             inputs["command"][:] = _doubles([a + part * (b - a) for a, b in zip(later, earlier, strict=True)])
             if not self._noise:
-                self._noise = [row.data for row in self._rng.standard_normal((_NOISE_BLOCK, 6))]
+                self._noise = [row.data for row in self._gusts.noise(_NOISE_BLOCK)[::-1].copy()]
             inputs["noise"][:] = self._noise.pop()
             inputs["state"][:] = outputs["state"]
             self._engine.run()
@@ -230,20 +232,20 @@ class _Tick:
         P: Mapping[str, Sequence[float]],
         com_frd: Sequence[float],
         vehicle: Vehicle,
-        effects: frozenset[str],
+        parts: frozenset[str],
     ) -> None:
-        self._equations, self._P, self._com, self._effects = equations, P, com_frd, effects
+        self._equations, self._P, self._com, self._parts = equations, P, com_frd, parts
         self._mass, self._inertia = vehicle.mass_kg, vehicle.inertia_kg_m2
         self._arms = [[a - c for a, c in zip(r.position_m, com_frd, strict=True)] for r in vehicle.rotors]
 
     def __call__(self, ops: Any, inputs: Mapping[str, Vector]) -> dict[str, list[Scalar]]:
         P, x = self._P, cut(_STATE, inputs["state"])
         voltage, charge = P["battery"][0], x["charge_used_c"][0]
-        if "battery-sag" in self._effects:
+        if "battery-sag" in self._parts:
             voltage, charge = battery(ops, P, x["speeds"], charge)
         gusts = next_gust(P, x["gust"], inputs["noise"])
         line, hanging = [0.0, 0.0, 0.0], x["payload_ned"]
-        if "slung-payload" in self._effects:
+        if "slung-payload" in self._parts:
             line, hanging = self._hang(ops, x)
         target = self._target(ops, inputs["command"], voltage)
 
@@ -263,11 +265,11 @@ class _Tick:
     def _target(self, ops: Any, command: Vector, voltage: Scalar) -> list[Scalar]:
         """Return the commanded rotor speeds, which fall with voltage; in a dead zone they are constant."""
         c1, c2 = self._P["thrust_curve"]
-        if "dead-zone" in self._effects:
+        if "dead-zone" in self._parts:
             centre, width = self._P["dead_zone"]
             command = [ops.where(ops.fabs(u - centre) < width, centre, u) for u in command]
         speeds = [ops.sqrt(u * (c1 + c2 * u)) for u in command]
-        if "battery-sag" not in self._effects:
+        if "battery-sag" not in self._parts:
             return speeds
         sag = ops.exp(0.5 * self._P["sag_exponent"][0] * ops.log(voltage / self._P["battery"][0]))
         return [n * sag for n in speeds]
@@ -283,7 +285,7 @@ class _Tick:
         pulled = cross([-c for c in self._com], into_body(R, line))
         torque = add(add(torque, pulled), P["torque_bias"])
         torque = [t + j * g for t, j, g in zip(torque, self._inertia, gusts[3:], strict=True)]
-        if "ground-effect" in self._effects:
+        if "ground-effect" in self._parts:
             for i, arm in enumerate(self._arms):
                 more = ground_gain(ops, P, -p[2] - dot(R[6:9], arm), R[8]) - 1
                 lift = [0.0, 0.0, -more * P["thrust_max_n"][0] * speeds[i] * speeds[i]]
