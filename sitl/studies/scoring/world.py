@@ -242,7 +242,7 @@ def _ratio_row(
     drawn_over, drawn_under = (_as_drawn(truth, known, e.name, e.keys[0]) for e in (ratio.over, ratio.under))
     estimate = over["value"] / under["value"]
     share = ((over["sd"] / over["value"]) ** 2 + (under["sd"] / under["value"]) ** 2) ** 0.5
-    (key,) = known.true()[name]
+    key, *_ = known.true()[name]
     return [
         {
             "effect": name,
