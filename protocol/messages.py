@@ -60,6 +60,7 @@ StatusText = mavlink.MAVLink_statustext_message
 FcControl = mavlink.MAVLink_fc_control_message
 FcEstimate = mavlink.MAVLink_fc_estimate_message
 FcObserver = mavlink.MAVLink_fc_observer_message
+FcRotors = mavlink.MAVLink_fc_rotors_message
 FcStatus = mavlink.MAVLink_fc_status_message
 RadioStats = mavlink.MAVLink_radio_stats_message
 UploadBegin = mavlink.MAVLink_upload_begin_message
@@ -72,7 +73,7 @@ UploadAbort = mavlink.MAVLink_upload_abort_message
 VEHICLE = (1, mavlink.MAV_COMP_ID_AUTOPILOT1)
 """System and component of the flight processor, for standard messages."""
 VEHICLE_FAST = (1, mavlink.MAV_COMP_ID_USER1)
-"""Sender of FC_CONTROL, FC_ESTIMATE and FC_OBSERVER, which overtake other messages in the radio."""
+"""Sender of FC_CONTROL, FC_ESTIMATE, FC_OBSERVER and FC_ROTORS, which overtake others in the radio."""
 VEHICLE_PRIVATE = (1, mavlink.MAV_COMP_ID_USER2)
 """Sender of the vehicle's other private messages. Stock clients do not count unknown messages as received."""
 PRIVATE_ID_MIN = 52100

@@ -12,7 +12,7 @@ import math
 from collections.abc import Sequence
 from typing import NamedTuple
 
-from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver
+from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver, FcRotors
 
 TICK_US = 1000
 """Base tick: step of the control law and of the plant, and unit of ticks in messages."""
@@ -22,6 +22,8 @@ GYRO_COUNTS = 4096.0
 """Counts per rad/s and tick."""
 FORCE_COUNTS = 1024.0
 """Counts per m/s^2 and tick."""
+ROTOR_COUNTS = 50_000.0
+"""Counts of FC_ROTORS for the speed at the greatest thrust; the code reaches 1.31 times that."""
 GAP_MAX_TICKS = 10_000
 """Longest valid interval between two FC_CONTROL messages."""
 OVERTAKEN_TICKS = 1_000
@@ -31,6 +33,7 @@ AGE_TICK_US = 100
 AGE_NONE = 0xFFFF
 """FC_ESTIMATE.mocap_age if the newest pose is 6.5 s old or older, or if none has arrived."""
 
+_CODE_MAX = 0xFFFF
 _MODULUS = 1 << 32
 _HALF = 1 << 31
 _MASK = _MODULUS - 1
@@ -129,6 +132,20 @@ def estimate_message(
 def observer_message(tick: int, *, disturbance_ned: Sequence[float]) -> FcObserver:
     """Return FC_OBSERVER at this tick."""
     return FcObserver(tick & _MASK, disturbance_ned)
+
+
+def rotors_message(tick: int, *, speed: Sequence[float]) -> FcRotors:
+    """Return FC_ROTORS at this tick; speed: of each rotor, over that at the greatest thrust.
+
+    Raises ValueError or OverflowError if a speed is not finite.
+    """
+    codes = [max(0, min(_CODE_MAX, round(ROTOR_COUNTS * each))) for each in speed]
+    return FcRotors(tick & _MASK, codes)
+
+
+def decode_rotor_speed(codes: Sequence[int]) -> list[float]:
+    """Return the rotor speeds of an FC_ROTORS message, over that at the greatest thrust."""
+    return [code / ROTOR_COUNTS for code in codes]
 
 
 class ControlInterval(NamedTuple):

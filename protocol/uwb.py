@@ -29,7 +29,7 @@ _URGENT = (
     # A client streams setpoints before it commands OFFBOARD: the command must not overtake them.
     *("SET_POSITION_TARGET_LOCAL_NED", "SET_ATTITUDE_TARGET"),
 )
-_FAST_TELEMETRY = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER")
+_FAST_TELEMETRY = ("FC_CONTROL", "FC_ESTIMATE", "FC_OBSERVER", "FC_ROTORS")
 _BULK = ("UPLOAD_", "FILE_TRANSFER_PROTOCOL")
 
 

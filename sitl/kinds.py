@@ -208,19 +208,60 @@ KINDS: dict[str, Kind] = {
             _place("distance_m", 2.4, (2.2, 2.6), 0.5, 50.0),  # of the wall from the origin
             _place("towards", 0.0, _TURN, *_TURN),  # rad, from north to east
         ),
-        _outside(
-            "dead-zone",
-            _number("width", 0.02, 0.0, 0.0, 0.3),  # half width, as a motor command
-            _place("centre", 1.0, (0.99, 1.01), 0.1, 2.0),  # in hover commands
+        Kind(
+            name="dead-zone",
+            quantities=(
+                _number("width", 0.08, 0.02, 0.0, 0.6),  # half width, in thrusts at hover
+                _number("centre", 0.05, 0.02, 0.3, 2.0, neutral=1.0, drawn=(0.98, 1.02)),
+            ),
+            spread="above",
+            deviates=False,
         ),
-        _outside(
-            "uneven-lag", _number("ratio", 1.0, 0.0, 1.0, 10.0, neutral=1.0)
-        ),  # time constant of slowing down over that of speeding up
+        Kind(
+            name="uneven-lag",
+            # Time constant of slowing down over that of speeding up.
+            quantities=(_number("ratio", 1.0, 0.1, 1.0, 10.0, neutral=1.0),),
+            spread="above",
+            deviates=False,
+        ),
         _outside(
             "shifting-battery",
             _number("share", 0.25, 0.0, 0.0, 0.6),
             _place("stiffness", 25.0, (18.0, 35.0), 5.0, 400.0),  # 1/s^2
             _place("slope", 0.15, (0.1, 0.2), -0.5, 0.5),  # rad, positive with the front end of the tray down
+        ),
+        _outside(
+            "sweeping-fan",
+            _number("push_m_s2", 1.0, 0.0, 0.0, 20.0),
+            _place("period_s", 4.0, (3.0, 5.0), 0.5, 60.0),
+            _place("towards", 0.0, _TURN, *_TURN),  # rad, from north to east
+        ),
+        _outside(
+            "dropped-load",
+            _number("share", 0.1, 0.0, 0.0, 0.5),  # of the mass in the vehicle file
+            _place("at_s", 7.0, (6.0, 9.0), 0.0, 3600.0),  # after lift-off
+        ),
+        _outside(
+            "camera-slip",
+            _number("tilt", 0.02, 0.0, 0.0, 0.2),  # rad
+            _number("yaw", 0.02, 0.0, 0.0, 0.2),  # rad
+            _place("at_s", 7.0, (6.0, 9.0), 0.0, 3600.0),  # after lift-off
+            _place("towards", 0.0, _TURN, *_TURN),  # of the axis of the tilt, rad, from north to east
+        ),
+        _outside(
+            "hidden-marker",
+            _number("shift_m", 0.02, 0.0, 0.0, 0.3),
+            _number("tilt", 0.02, 0.0, 0.0, 0.2),  # rad
+            _place("edge_m", 0.0, (-0.2, 0.2), -50.0, 50.0),  # of the area, from the origin
+            _place("towards", 0.0, _TURN, *_TURN),  # of the area, rad, from north to east
+        ),
+        _outside("stabilised-camera", _number("lever_m", 0.01, 0.0, 0.0, 0.1)),
+        _outside(
+            "stuttering-motor",
+            _number("depth", 0.2, 0.0, 0.0, 0.9),  # share of the rotor speed
+            _place("every_s", 1.0, (0.9, 1.3), 0.1, 60.0),
+            _place("length_s", 0.08, (0.06, 0.1), 0.001, 60.0),
+            _place("towards", 0.0, _TURN, *_TURN),  # of the arm, rad, from x to y
         ),
     )
 }

@@ -21,6 +21,7 @@ from trimtab.sitl.vectors import rotation
 
 _START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight if the battery discharges
 _NOISE_BLOCK = 1024
+_SPEEDS = slice(13, 17)
 _COMMANDS_MAX = 4096  # numbers that are kept before all but the latest are dropped
 _write_eight = Struct("8d").pack_into
 _ENGINE_INPUTS = (
@@ -74,6 +75,7 @@ class Plant:
         if "battery-sag" in parts:
             depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _START_DEPTH)
             self._charge_used_c = depth * values["battery"][3]
+        self._phases = flight_generator(world.seed, flight, Purpose.PHASES).random(2).tolist()
         self._com_frd = values["com_frd"]
         self._line_m = values["payload"][1]
         delays = [world.value("actuation-delay", "delay_s") / TICK_S * (1.0 + e) for e in _DELAY_SPREAD]
@@ -109,6 +111,7 @@ class Plant:
             "turning_frd": [0.0] * 3,
             "payload_ned": [*self._hanging(p_ned), 0.0, 0.0, 0.0],
             "slide": [0.0, 0.0],
+            "clock": [0.0, *self._phases],
         }
         self.state[:] = pack(STATE, state)
         self._at = self._end = 0
@@ -131,6 +134,10 @@ class Plant:
             self._noise[:] = self._block[at:after]
         self._state[:] = self.state
         run()
+
+    def rotor_speeds(self) -> list[float]:
+        """Return the speeds of the rotors (4,), over that at the greatest thrust."""
+        return self.state[_SPEEDS].tolist()
 
     def _hanging(self, p_ned: Sequence[float]) -> list[float]:
         """Return the initial position of a payload: under the vehicle, or on the floor beside it."""

@@ -42,8 +42,6 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
     keep = math.exp(-TICK_S / turbulence.correlation_s)
     fresh = math.sqrt(1.0 - keep * keep)
     hover = weight / (4.0 * vehicle.thrust_max_n)
-    c1, c2 = vehicle.thrust_curve
-    hover_command = 2.0 * hover / (c1 + math.sqrt(c1 * c1 + 4.0 * c2 * hover))
     wheel = value("gyroscopic", "h") * vehicle.inertia_kg_m2[0]
     slope = value("shifting-battery", "slope")
     return {
@@ -89,7 +87,9 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
         ],
         "hover_thrust_n": [weight],
         "cant": [c for i in (1, 2, 3, 4) for c in _canted(value, i)],
-        "dead_zone": [value("dead-zone", "centre") * hover_command, value("dead-zone", "width")],
+        "dead_zone": _dead_zone(
+            vehicle, hover * value("dead-zone", "centre"), hover * value("dead-zone", "width")
+        ),
         "fan": [
             *(value("fan", key) for key in ("push_m_s2", "width_m", "x_m", "y_m")),
             *_north_east(value("fan", "towards")),
@@ -110,6 +110,21 @@ def plant_parameters(vehicle: Vehicle, world: World) -> dict[str, list[float]]:
             math.cos(slope),
             math.sin(slope),
             _TRAY_END * _reach(vehicle),
+        ],
+        "sweep": [
+            value("sweeping-fan", "push_m_s2"),
+            1.0 / value("sweeping-fan", "period_s"),
+            *_north_east(value("sweeping-fan", "towards")),
+        ],
+        "dropped_load": [
+            value("dropped-load", "share") * vehicle.mass_kg,
+            value("dropped-load", "at_s"),
+        ],
+        "held_camera": [value("stabilised-camera", "lever_m")],
+        "stutter": [
+            *_of_one_rotor(vehicle, value("stuttering-motor", "towards"), value("stuttering-motor", "depth")),
+            1.0 / value("stuttering-motor", "every_s"),
+            value("stuttering-motor", "length_s") / value("stuttering-motor", "every_s"),
         ],
     }
 
@@ -150,6 +165,23 @@ def _hover_inflow(vehicle: Vehicle) -> float:
     nearest = min(float(np.linalg.norm(a - hubs[0])) for a in hubs[1:])
     area = math.pi * (_DISC_SHARE * 0.5 * nearest) ** 2
     return math.sqrt(0.25 * vehicle.mass_kg * GRAVITY_M_S2 / (2.0 * _AIR_DENSITY_KG_M3 * area))
+
+
+def _dead_zone(vehicle: Vehicle, centre: float, width: float) -> list[float]:
+    """Return centre and half width, as motor commands, of a zone whose thrusts are shares of full thrust."""
+    c1, c2 = vehicle.thrust_curve
+
+    def command(thrust: float) -> float:
+        return 2.0 * thrust / (c1 + math.sqrt(c1 * c1 + 4.0 * c2 * thrust))
+
+    return [command(centre), 0.5 * (command(centre + width) - command(max(centre - width, 0.0)))]
+
+
+def _of_one_rotor(vehicle: Vehicle, towards: float, size: float) -> list[float]:
+    """Return `size` for the rotor nearest to the direction `towards`, rad from x to y, 0 for others."""
+    x, y = math.cos(towards), math.sin(towards)
+    along = [rotor.position_m[0] * x + rotor.position_m[1] * y for rotor in vehicle.rotors]
+    return [size if a == max(along) else 0.0 for a in along]
 
 
 def _canted(value: Callable[[str, str], float], i: int) -> list[float]:

@@ -14,13 +14,14 @@ from __future__ import annotations
 from collections.abc import Container, Mapping, Sequence
 from typing import Any, NamedTuple
 
+from trimtab.sitl.carried import battery, held_camera, load_kg, slide
 from trimtab.sitl.rotors import ground_gain, rotor_speeds, rotor_thrust
 from trimtab.sitl.surroundings import (
     GRAVITY_M_S2,
-    battery_slide,
     fan,
     floor,
     payload,
+    sweeping_fan,
     tether,
     wall_suction,
     wind,
@@ -41,6 +42,7 @@ from trimtab.sitl.vectors import (
 )
 
 TICK_S = 0.001
+_AIRBORNE_M = 0.2  # height above which a vehicle has lifted off
 
 
 class Block(NamedTuple):
@@ -62,11 +64,13 @@ STATE = (
     Block("turning_frd", 3),
     Block("payload_ned", 6),
     Block("slide", 2),
+    Block("clock", 3),
 )
 """State of the plant, in order.
 
 `gust`: accelerations of turbulence, NED (m/s^2) and FRD (rad/s^2). `acceleration_ned`, `turning_frd`: of the
 last tick. `payload_ned`: position and velocity of the payload. `slide`: displacement and speed of a battery.
+`clock`: time since lift-off, s; turns of a sweeping fan; spells of a stuttering motor.
 """
 
 PARAMETERS = (
@@ -106,6 +110,12 @@ PARAMETERS = (
     Block("wall", 4),  # pull m/s^2 at a metre, distance from the origin m, direction NE
     Block("payload", 3),  # mass kg, length of the line m, damping of the swing at the attachment 1/s
     Block("slide", 5),  # share of the mass, stiffness 1/s^2, direction of the tray: x, z FRD, its length m
+    Block("sweep", 4),  # push m/s^2, turns per second, direction NE
+    Block("dropped_load", 2),  # mass kg, time of the loss after lift-off s
+    Block("held_camera", 1),  # share of the mass times the distance below the pivot, m
+    Block(
+        "stutter", 6
+    ),  # share of the speed that each rotor loses, spells per second, their share of the time
 )
 """The constants of one flight, in order."""
 
@@ -131,6 +141,10 @@ PARTS = frozenset(
         "wall-suction",
         "dead-zone",
         "shifting-battery",
+        "sweeping-fan",
+        "dropped-load",
+        "stabilised-camera",
+        "stuttering-motor",
     }
 )
 """Kinds whose physics the tick omits in worlds without them. Builds do not deviate in these."""
@@ -156,8 +170,11 @@ def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) 
     p, v, q, w = x["p_ned"], x["v_ned"], x["q_ned_frd"], x["rate_frd"]
     voltage, charge = P["battery"][0], x["charge_used_c"][0]
     if "battery-sag" in parts:
-        voltage, charge = battery(ops, P, x["rotor_speed"], charge)
-    speeds, speeds_end = rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage, parts)
+        voltage, charge = battery(ops, P, x["rotor_speed"], charge, TICK_S)
+    airborne_s, fan_turns, spells = x["clock"]
+    if "stuttering-motor" in parts:
+        spells = spells + TICK_S * P["stutter"][4]
+    speeds, speeds_end = rotor_speeds(ops, P, x["rotor_speed"], inputs["command"], voltage, spells, parts)
     gust = next_gust(P, x["gust"], inputs["noise"])
 
     half, h = 0.5 * TICK_S, TICK_S
@@ -165,33 +182,48 @@ def tick(ops: Any, inputs: Mapping[str, Vector], parts: Container[str] = PARTS) 
     v_half = ahead(v, x["acceleration_ned"], half)
     q_half = unit(ops, ahead(q, quaternion_rate(q, w), half))
     p_half, R_half = ahead(p, v, half), rotation(q_half)
-    com, com_rate, slide = P["com_frd"], None, x["slide"]
+    com, com_rate, tray = P["com_frd"], None, x["slide"]
     if "shifting-battery" in parts:
-        com, com_rate, slide = _slide(ops, P, slide, x["acceleration_ned"], x["turning_frd"], R_half)
-    body = _Body(p_half, v_half, R_half, w_half, com)
+        shift, com_rate, tray = slide(ops, P, tray, x["acceleration_ned"], x["turning_frd"], R_half, h)
+        com = add(com, shift)
+    if "stabilised-camera" in parts:
+        shift, moving = held_camera(ops, P, R_half, w_half)
+        com, com_rate = add(com, shift), moving if com_rate is None else add(com_rate, moving)
+    mass = P["mass_kg"][0]
+    if "dropped-load" in parts:
+        airborne_s = airborne_s + ops.where(p[2] < -_AIRBORNE_M, h, 0.0)
+        mass = mass + load_kg(ops, P, airborne_s)
+    if "sweeping-fan" in parts:
+        fan_turns = fan_turns + h * P["sweep"][1]
+    body = _Body(p_half, v_half, R_half, w_half, com, mass)
     line, hanging = None, x["payload_ned"]
     if "slung-payload" in parts:
         line, hanging = _hang(ops, P, body, hanging)
-    a, turning = _accelerations(ops, P, body, speeds, gust, line, parts)
+    a, turning = _accelerations(ops, P, body, speeds, gust, line, fan_turns, parts)
     p, v, w = ahead(p, v_half, h), ahead(v, a, h), ahead(w, turning, h)
     q = unit(ops, ahead(q, quaternion_rate(q_half, w_half), h))
 
     carried = add(cross(turning, com), cross(w_half, cross(w_half, com)))
     force = into_body(R_half, [a[0], a[1], a[2] - GRAVITY_M_S2])
     force = [f - c for f, c in zip(force, carried, strict=True)]
-    state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning, *hanging, *slide]
+    state = [*p, *v, *q, *w, *speeds_end, charge, *gust, *a, *turning, *hanging, *tray]
+    state += [airborne_s, fan_turns, spells]
     pose = [*origin(p, v, rotation(q), w, com, com_rate), *q]
     return {"state": state, "pose": pose, "sensed": [*w, *force, voltage]}
 
 
 class _Body(NamedTuple):
-    """The rigid body at the middle of a tick: p and v in NED, R_ned_frd, body rate, centre of mass in FRD."""
+    """The rigid body at the middle of a tick: p and v in NED, R_ned_frd, body rate, centre of mass in FRD.
+
+    mass_kg: with a load that is still there.
+    """
 
     p: Vector
     v: Vector
     R: Vector
     w: Vector
     com: Vector
+    mass_kg: Scalar
 
 
 def _accelerations(  # noqa: C901 - the order of operations determines the bytes of every flight
@@ -201,13 +233,14 @@ def _accelerations(  # noqa: C901 - the order of operations determines the bytes
     speeds: Vector,
     gust: Vector,
     line: Vector | None,
+    fan_turns: Scalar,
     parts: Container[str],
 ) -> tuple[list[Scalar], list[Scalar]]:
     """Return the acceleration of the centre of mass in NED and the angular acceleration in FRD.
 
     `line` is the force in NED of a slung payload's line at the origin; None without a payload.
     """
-    p, v, R, w, com = body
+    p, v, R, w, com, heavy = body
     mass = P["mass_kg"][0]
     arms = [[P["rotors_frd"][3 * i + k] - com[k] for k in range(3)] for i in range(4)]
     wind_ned = wind(ops, P, p)
@@ -272,7 +305,9 @@ def _accelerations(  # noqa: C901 - the order of operations determines the bytes
         outside = add(outside, fan(ops, P, p, v))
     if "wall-suction" in parts:
         outside = add(outside, wall_suction(ops, P, p))
-    a = [f / mass + o / mass + g for f, o, g in zip(into_world(R, force), outside, gust[:3], strict=True)]
+    if "sweeping-fan" in parts:
+        outside = add(outside, sweeping_fan(ops, P, v, fan_turns))
+    a = [f / heavy + o / heavy + g for f, o, g in zip(into_world(R, force), outside, gust[:3], strict=True)]
     a[2] = a[2] + GRAVITY_M_S2
     momentum = symmetric(P["inertia"], w)
     turning = [t - c for t, c in zip(torque, cross(w, momentum), strict=True)]
@@ -287,40 +322,6 @@ def _hang(ops: Any, P: Mapping[str, Any], body: _Body, hanging: Vector) -> tuple
     a, line = payload(ops, P, hook[:3], hook[3:], place, v, wind(ops, P, place))
     v = ahead(v, a, TICK_S)
     return line, [*ahead(p, v, TICK_S), *v]
-
-
-def _slide(
-    ops: Any, P: Mapping[str, Any], slide: Vector, acceleration: Vector, turning: Vector, R: Vector
-) -> tuple[list[Scalar], list[Scalar], list[Scalar]]:
-    """Return centre of mass and its velocity in FRD with a sliding battery, and the battery's next state."""
-    share, _, along, down, _ = P["slide"]
-    s, rate = slide
-    force = into_body(R, [acceleration[0], acceleration[1], acceleration[2] - GRAVITY_M_S2])
-    rate = rate + TICK_S * battery_slide(ops, P, force, turning, s, rate)
-    s = s + TICK_S * rate
-    way = [share * along, 0.0, share * down]
-    com = [c + s * u for c, u in zip(P["com_frd"], way, strict=True)]
-    return com, [rate * u for u in way], [s, rate]
-
-
-def battery(ops: Any, P: Mapping[str, Any], speeds: Vector, charge: Scalar) -> tuple[Scalar, Scalar]:
-    """Return the voltage under load at the start of the tick, V, and the charge used at its end, C.
-
-    The open-circuit voltage falls with the depth of discharge as in a lithium-polymer cell. Rotor power grows
-    with speed cubed. Voltage under load: V^2 - V_oc V + R P = 0.
-    """
-    full, empty, resistance, capacity, hover_power = P["battery"]
-    power: Scalar = 0.0
-    for n in speeds:
-        relative = n / P["hover_speed"][0]
-        power = power + 0.25 * hover_power * relative * relative * relative
-    depth = charge / capacity
-    knee = depth * depth * depth * depth
-    used = 0.15 * (1 - ops.exp(-18 * depth)) + 0.55 * depth + 0.3 * knee * knee
-    open_circuit = full - (full - empty) * used
-    room = ops.maximum(open_circuit * open_circuit - 4 * resistance * power, 0.0)
-    loaded = 0.5 * (open_circuit + ops.sqrt(room))
-    return loaded, charge + TICK_S * power / loaded
 
 
 def next_gust(P: Mapping[str, Any], gust: Vector, noise: Vector) -> list[Scalar]:

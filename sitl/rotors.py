@@ -21,21 +21,34 @@ _GROUND_MOST = 0.3  # thrust grows to at most 1 / (1 - this)
 
 
 def rotor_speeds(
-    ops: Any, P: Mapping[str, Any], speeds: Vector, command: Vector, voltage: Scalar, parts: Container[str]
+    ops: Any,
+    P: Mapping[str, Any],
+    speeds: Vector,
+    command: Vector,
+    voltage: Scalar,
+    spells: Scalar,
+    parts: Container[str],
 ) -> tuple[list[Scalar], list[Scalar]]:
-    """Return rotor speeds in the middle and at the end of the tick. Each follows its command with a lag."""
+    """Return rotor speeds in the middle and at the end of the tick. Each follows its command with a lag.
+
+    A motor controller that loses its rotor's position stutters: it drives the rotor at a lower speed at the
+    start of each of the `spells`.
+    """
     c1, c2 = P["thrust_curve"]
     sags = "battery-sag" in parts
     sag = 0.5 * P["sag_exponent"][0] * ops.log(voltage / P["battery"][0]) if sags else 0.0
     middle: list[Scalar] = []
     end: list[Scalar] = []
-    for n, u in zip(speeds, command, strict=True):
+    for i, (n, u) in enumerate(zip(speeds, command, strict=True)):
         if "dead-zone" in parts:
             u = _dead(ops, u, *P["dead_zone"])
         target = ops.sqrt(u * (c1 + c2 * u))
         if sags:
             load = 1 + _SAG_LOAD * (n / P["hover_speed"][0] - 1)
             target = target * ops.exp(sag * load)
+        if "stuttering-motor" in parts:
+            lost = ops.where(spells - ops.floor(spells) < P["stutter"][5], P["stutter"][i], 0.0)
+            target = target * (1.0 - lost)
         keep = ops.where(target > n, P["rise_half_tick"][0], P["fall_half_tick"][0])
         middle.append(target + (n - target) * keep)
         end.append(target + (n - target) * keep * keep)

@@ -26,6 +26,8 @@ class Purpose(IntEnum):
     BATTERY = 21
     FOREIGN_PLANT = 22
     TIMING = 23
+    PHASES = 24
+    ROTOR_SPEED = 25
 
 
 _WORLD, _FLIGHT = 0, 1

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import struct
 from collections import deque
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from itertools import chain
 from typing import NamedTuple
 
@@ -13,11 +13,13 @@ import numpy as np
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.camera_faults import CameraFaults
 from trimtab.sitl.world import ImuSettings, MocapSettings
 
 _BLOCK = 1024
 _LEAST_NOISE = 1e-9  # an IMU never repeats a value exactly; the vehicle would take it for stuck
 _BOW_PER_M = 0.02  # a tilted camera frame is also curved: its tilt changes along the direction of the lean
+_ROTOR_SPEED_NOISE = 0.003  # relative: a design choice, the time between commutations is counted coarsely
 _SEVEN = struct.Struct("7d")
 _STAMP_JITTER = (
     0.15  # of an undeclared latency: a busy computer that stamps the poses delays them by varying amounts
@@ -58,6 +60,27 @@ class Imu:
             yield _SEVEN.iter_unpack(block[::-1].tobytes())
 
 
+class RotorSpeedSensor:
+    """Rotor speeds as motor controllers measure them, with noise.
+
+    Parameters
+    ----------
+    speeds
+        Returns the true speeds (4,), over that at the greatest thrust.
+    rng
+        Generator of the flight.
+    """
+
+    def __init__(self, speeds: Callable[[], Sequence[float]], rng: np.random.Generator) -> None:
+        self._speeds = speeds
+        self._rng = rng
+
+    def read(self) -> list[float]:
+        """Return the measured speeds (4,), over that at the greatest thrust."""
+        noise = self._rng.standard_normal(4).tolist()
+        return [n * (1.0 + _ROTOR_SPEED_NOISE * e) for n, e in zip(self._speeds(), noise, strict=True)]
+
+
 class Pose(NamedTuple):
     """One measured pose: stamp and arrival at the host in us, position in NED, attitude q_ned_frd."""
 
@@ -84,6 +107,8 @@ class Mocap:
         Generator of the flight.
     tilt
         Rotation of the camera frame about north and east, rad.
+    faults
+        What else is wrong with the cameras.
     """
 
     def __init__(
@@ -92,11 +117,13 @@ class Mocap:
         latency_s: float,
         rng: np.random.Generator,
         tilt: tuple[float, float] = (0.0, 0.0),
+        faults: CameraFaults | None = None,
     ) -> None:
         self._settings = settings
         self._latency_us = latency_s * 1e6
         self._rng = rng
         self._tilt = tilt
+        self._faults = faults
         self._period_us = 1_000_000 // settings.rate_hz
         self._gaps_us = [
             (round(start * 1e6), round((start + length) * 1e6)) for start, length in settings.gaps_s
@@ -147,6 +174,8 @@ class Mocap:
         p = (x + vx * dt_s, y + vy * dt_s, z + vz * dt_s)
         if self._tilt != (0.0, 0.0):
             p, q = _tilted(p, q, self._tilt)
+        if self._faults is not None:
+            p, q = self._faults.seen(self._stamp_us, p, q)
         p = (p[0] + noise[0], p[1] + noise[1], p[2] + noise[2])
         roll, pitch, yaw = rate_frd
         turn = (dt_s * roll + noise[3], dt_s * pitch + noise[4], dt_s * yaw + noise[5])

@@ -5,6 +5,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -18,6 +19,8 @@ _WIND_HEIGHT_M = 1.5  # height of the stated wind; the wind is slower below
 _WIND_SHEAR = 0.08
 _WIND_FLOOR_M = 0.05
 _JET_M_S = 5.0  # air speed at the centre of a fan's jet
+_SWEEP_M_S = 5.0  # air speed while a sweeping fan points at the vehicle
+_SWEEP_NARROW = 4.0  # half of the push or more for an eighth of a turn
 _JET_LENGTH_M = 1.5  # decay length along the jet, in both directions
 _WALL_NEAREST_M = 0.6  # distance below which suction stays constant
 _LINE_DAMPING = 0.3  # axial damping of the line over critical damping
@@ -81,6 +84,15 @@ def fan(ops: Any, P: Mapping[str, Any], p: Vector, v: Vector) -> list[Scalar]:
     share = ops.exp(-along * along - across * across)
     flow = [_JET_M_S * share * north - v[0], _JET_M_S * share * east - v[1], -v[2]]
     drag = P["mass_kg"][0] * push / _JET_M_S * share
+    return [drag * u for u in flow]
+
+
+def sweeping_fan(ops: Any, P: Mapping[str, Any], v: Vector, turns: Scalar) -> list[Scalar]:
+    """Return the drag force of a fan far away that turns to and fro and blows on the vehicle once a turn."""
+    push, _, north, east = P["sweep"]
+    share = ops.exp(_SWEEP_NARROW * (ops.cos(2 * math.pi * turns) - 1.0))
+    flow = [_SWEEP_M_S * share * north - v[0], _SWEEP_M_S * share * east - v[1], -v[2]]
+    drag = P["mass_kg"][0] * push / _SWEEP_M_S * share
     return [drag * u for u in flow]
 
 

@@ -31,13 +31,14 @@ from trimtab.protocol.messages import CAMERAS, HOST_RADIO, SIMULATED_BOARD, VEHI
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.signing import SIMULATED_EPOCH, SigningKey
 from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.camera_faults import CameraFaults
 from trimtab.sitl.draw import draw_world
 from trimtab.sitl.foreign import ForeignPlant, load_foreign_plant, read_plant_options
 from trimtab.sitl.memory import open_memory
 from trimtab.sitl.plant import Plant
 from trimtab.sitl.radio import RadioChannel
 from trimtab.sitl.seeds import Purpose, flight_generator, session_uid
-from trimtab.sitl.sensors import Imu, Mocap
+from trimtab.sitl.sensors import Imu, Mocap, RotorSpeedSensor
 from trimtab.sitl.serve import ServeStatistics, serve
 from trimtab.sitl.setting import Place, Setting
 from trimtab.sitl.stand_in import StandIn
@@ -268,14 +269,19 @@ class SimulatedVehicle:
 
         self._imu = Imu(world.imu, flight_generator(seed, flight, Purpose.IMU))
         self._imu_errors = self._imu.errors()
-        latency_s, tilt = 0.0, (0.0, 0.0)
+        latency_s, tilt, faults = 0.0, (0.0, 0.0), None
         if setting.plant is None or setting.is_world_named:
             latency_s = world.value("mocap-latency", "latency_s")
             tilt = (world.value("frame-tilt", "tilt_x"), world.value("frame-tilt", "tilt_y"))
+            faults = CameraFaults.of(world)
         mocap_rng = flight_generator(seed, flight, Purpose.MOCAP)
-        self._camera = Mocap(world.mocap, latency_s, mocap_rng, tilt)
+        self._camera = Mocap(world.mocap, latency_s, mocap_rng, tilt, faults)
         self._camera_codec = Codec(*CAMERAS)
 
+        rotor_speed = None
+        if setting.vehicle.measures_rotor_speed and isinstance(self._step_owner, Plant):
+            rng = flight_generator(seed, flight, Purpose.ROTOR_SPEED)
+            rotor_speed = RotorSpeedSensor(self._step_owner.rotor_speeds, rng).read
         self._timing = TickTimes(world.timing, flight_generator(seed, flight, Purpose.TIMING))
         serial = world.serial.model_dump()
         self._flight_mcu = FlightMcu(
@@ -288,6 +294,7 @@ class SimulatedVehicle:
             uart=flight_uart(wired=world.radio.wired, **serial),
             loop_times=self._timing.read,
             check=partial(check_blob, evaluator=ALL_AT_ONCE),
+            rotor_speed=rotor_speed,
         )
         self._command: Any = self._flight_mcu.motor_command
         self._flight_tick = self._flight_mcu.tick

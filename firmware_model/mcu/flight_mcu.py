@@ -81,6 +81,8 @@ class FlightMcu:
         Returns the timing of the ticks since the last call, as a cycle counter measures it.
     check
         Returns the verdict on a blob; `verdict.check_blob` by default.
+    rotor_speed
+        Returns the rotor speeds as the motor controllers measure them, over that at the greatest thrust.
 
     Attributes
     ----------
@@ -108,6 +110,7 @@ class FlightMcu:
         uart: UartPort | None = None,
         loop_times: Callable[[int], LoopTimes] = lambda now_us: LoopTimes(0, 0, 0),
         check: Callable[..., Verdict] = check_blob,
+        rotor_speed: Callable[[], Sequence[float]] | None = None,
     ) -> None:
         self.uart = flight_uart() if uart is None else uart
         self.reboot_us = NEVER_US
@@ -117,6 +120,7 @@ class FlightMcu:
         self.motor_command = self.flight.outputs["motor_command"]
         self._store = store
         self._blob_check = check
+        self._rotor_speed = rotor_speed
         self._identity = Identity(uid=uid, vehicle_id=vehicle_id, board_version=board_version)
         self._battery_v = 0.0
         self._codec = Codec(*VEHICLE, accepts_unsigned=unsigned.vehicle_accepts)
@@ -240,7 +244,7 @@ class FlightMcu:
     def _send_100_hz(self, now_us: int) -> None:
         streams = self._services.streams
         try:
-            for message in telemetry.messages_100_hz(self.flight, now_us):
+            for message in telemetry.messages_100_hz(self.flight, now_us, self._rotor_speed):
                 if not streams.slowed or streams.periodic_due(message.id, now_us):
                     self.outbox.queue(message)
         except (ValueError, OverflowError):

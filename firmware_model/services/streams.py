@@ -57,6 +57,7 @@ PERIODIC_INTERVALS_US: Mapping[int, int] = {
     m.FcControl.id: 10_000,
     m.FcEstimate.id: 10_000,
     m.FcObserver.id: 10_000,
+    m.FcRotors.id: 10_000,
     m.FcStatus.id: STATUS_US,
     m.Heartbeat.id: HEARTBEAT_US,
 }

@@ -1,12 +1,13 @@
 """Periodic telemetry: FC_CONTROL and FC_ESTIMATE at 100 Hz, FC_STATUS at 10 Hz, HEARTBEAT at 1 Hz.
 
-FC_OBSERVER follows at 100 Hz if OBS_GAIN > 0, at 50 Hz while messages are signed.
+FC_OBSERVER follows at 100 Hz if OBS_GAIN > 0, at 50 Hz while messages are signed. FC_ROTORS follows if the
+motor controllers measure rotor speeds, at 100 Hz, or at 50 Hz beside FC_OBSERVER or with signed messages.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import NamedTuple
 
 from trimtab.firmware_model.flight.flight import UPDATE_TICKS, Flight
@@ -19,6 +20,7 @@ from trimtab.protocol.telemetry import (
     encode_age,
     estimate_message,
     observer_message,
+    rotors_message,
 )
 
 STATUS_US = 100_000
@@ -51,22 +53,31 @@ class OnBoard(NamedTuple):
     bad_bytes: int
 
 
-def messages_100_hz(flight: Flight, now_us: int) -> Iterator[Message]:
+def messages_100_hz(
+    flight: Flight, now_us: int, rotor_speed: Callable[[], Sequence[float]] | None = None
+) -> Iterator[Message]:
     """Yield the 100 Hz messages of this tick in the order of transmission.
+
+    rotor_speed: measures the rotor speeds, over that at the greatest thrust; None if nothing does.
 
     FC_OBSERVER follows FC_ESTIMATE, because both fit into one radio frame. It precedes FC_CONTROL, so a host
     has both when FC_CONTROL arrives. Raises ValueError or OverflowError if a value is not finite.
     """
     # A signed FC_OBSERVER does not fit beside FC_ESTIMATE; it gets a frame of its own, half as often.
-    ticks = 2 * UPDATE_TICKS if flight.monitor.has_key else UPDATE_TICKS
-    is_due = now_us // TICK_US % ticks < UPDATE_TICKS
-    if flight.parameters["OBS_GAIN"] > 0.0 and is_due:
+    # Nor does FC_ROTORS fit beside a signed FC_ESTIMATE, or beside FC_ESTIMATE and FC_OBSERVER.
+    signed, observes = flight.monitor.has_key, flight.parameters["OBS_GAIN"] > 0.0
+    is_second = now_us // TICK_US % (2 * UPDATE_TICKS) < UPDATE_TICKS
+    if observes and (is_second or not signed):
         yield estimate(flight, now_us)
         yield observer(flight, now_us)
+        if rotor_speed is not None and is_second:
+            yield rotors_message(now_us // TICK_US, speed=rotor_speed())
         yield control(flight, now_us)
     else:
         yield control(flight, now_us)
         yield estimate(flight, now_us)
+        if rotor_speed is not None and not observes and (is_second or not signed):
+            yield rotors_message(now_us // TICK_US, speed=rotor_speed())
 
 
 def control(flight: Flight, now_us: int) -> Message:

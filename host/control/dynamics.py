@@ -29,7 +29,7 @@ from trimtab.host.models.airframe import RATE, THETA, Part, V
 from trimtab.host.models.dynamics import rigid_body
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Network
-from trimtab.host.models.slots import motor_lag_s
+from trimtab.host.models.slots import driven_thrusts_n, motor_lag_s, rotor_lags_s
 from trimtab.host.vehicle import Vehicle, to_parameters
 
 STATES, INPUTS = 13, 4
@@ -108,12 +108,15 @@ class ControlModel:
 
     def derivative(self, x: ca.SX, u: ca.SX, p: ca.SX, d_ned: ca.SX) -> ca.SX:
         """Return xdot (13,). d_ned: acceleration (3,) of the network; p: parameters."""
-        lag_s = motor_lag_s(CASADI, self.vehicle, self._parts(p))
+        parts = self._parts(p)
+        (driven,) = driven_thrusts_n(CASADI, self.vehicle, parts, [0.25 * u[3]])  # each rotor has a quarter
+        lag_s = motor_lag_s(CASADI, self.vehicle, parts)
+        (lag_s,) = rotor_lags_s(CASADI, parts, lag_s, [driven], [0.25 * x[COLLECTIVE]])
         scalars = ca.vertsplit(x)
         acceleration = ca.vertsplit(d_ned + p[DISTURBANCE])
-        body = rigid_body(CASADI, self.vehicle, self._parts(p), rigid(scalars), acceleration_ned=acceleration)
+        body = rigid_body(CASADI, self.vehicle, parts, rigid(scalars), acceleration_ned=acceleration)
         rates = [(u[i] - x[RATE][i]) / self.rate_lag_s[i] for i in range(3)]
-        return ca.vertcat(*body[: RATE.start], *rates, (u[3] - x[COLLECTIVE]) / lag_s)
+        return ca.vertcat(*body[: RATE.start], *rates, (4.0 * driven - x[COLLECTIVE]) / lag_s)
 
     def residual(self, x: ca.SX, p: ca.SX) -> ca.SX:
         """Return the acceleration (3,), m/s^2 NED, that disturbance and effects add to the vehicle."""

@@ -202,6 +202,10 @@ class Effect:
         Torque (3,), N m.
     motor_lag_s
         Time constant of the rotors, given the nominal one.
+    driven_thrust_n
+        Thrust that a command drives a rotor to, N, given the commanded thrust and the thrust at hover, N.
+    lag_factor
+        Factor on the time constant of a rotor, given the thrust that it is driven to and its thrust, N.
     command_delay_s
         Delay of the motor commands.
     mocap_latency_s
@@ -242,6 +246,8 @@ class Effect:
     specific_force_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     torque_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     motor_lag_s: Callable[[Ops, Theta, Scalar], Scalar] | None = None
+    driven_thrust_n: Callable[[Ops, Theta, Scalar, float], Scalar] | None = None
+    lag_factor: Callable[[Ops, Theta, Scalar, Scalar], Scalar] | None = None
     command_delay_s: Callable[[Ops, Theta], Scalar] | None = None
     mocap_latency_s: Callable[[Ops, Theta], Scalar] | None = None
     memory_start: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
@@ -353,6 +359,8 @@ SLOTS = (
     "specific_force_frd",
     "torque_frd",
     "motor_lag_s",
+    "driven_thrust_n",
+    "lag_factor",
     "command_delay_s",
     "mocap_latency_s",
 )

@@ -34,7 +34,7 @@ EFFECT = Effect(
             free_sigma=0.05,
         ),
     ),
-    aliases=("mocap-latency", "actuation-delay", "inertia", "thrust-inflow"),
+    aliases=("mocap-latency", "actuation-delay", "inertia", "thrust-inflow", "uneven-lag", "dead-zone"),
     observable="fast rotations in roll and pitch with the gyro logged",
     replaced_by=(THRUST,),
     freed_by=(MOTOR_LAG,),

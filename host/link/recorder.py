@@ -29,6 +29,7 @@ from trimtab.protocol.telemetry import (
     IntervalDecoder,
     decode_age,
     decode_quaternion,
+    decode_rotor_speed,
 )
 
 LINK_US = 100_000
@@ -63,7 +64,7 @@ class Recorder:
         self._arm_us = arm_us
         self.deadline_us = arm_us
         self._intervals = IntervalDecoder()
-        self._estimate_tick = -1
+        self._estimate_tick = self._rotors_tick = -1
         self._observer: m.FcObserver | None = None
         self._first = self._flown = _FlownReference(reference)
         self._then = None if then is None else _FlownReference(then)
@@ -74,6 +75,7 @@ class Recorder:
             m.FcControl: self._control,
             m.FcEstimate: self._estimate,
             m.FcObserver: self._observe,
+            m.FcRotors: self._rotors,
             m.FcStatus: self._status,
             m.StatusText: self._text,
         }
@@ -229,6 +231,16 @@ class Recorder:
             message.gyro_bias,
             _AGE_UNKNOWN_US if age_us is None else age_us,
         )
+
+    def _rotors(self, message: m.FcRotors, log_us: int) -> None:
+        tick = message.tick
+        late = self._rotors_tick - OVERTAKEN_TICKS < tick <= self._rotors_tick
+        if late or not self._log.holds(topics.FC_ROTORS):
+            return
+        self._rotors_tick = tick
+        source_us = tick * TICK_US
+        stamps = Stamps(log_us, self._publish_us(source_us), source_us)
+        self._log.rotors(stamps, decode_rotor_speed(message.speed))
 
     def _status(self, message: m.FcStatus, log_us: int) -> None:
         self.last_status = message

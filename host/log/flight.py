@@ -41,6 +41,7 @@ from trimtab.host.log.read_topics import (
     read_link,
     read_mocap,
     read_observer,
+    read_rotors,
     read_status,
 )
 from trimtab.host.log.rebuilt import rebuilt_of
@@ -175,6 +176,7 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         duration_s=(max(times) - min(times)) * 1e-6 if times else 0.0,
         contents=LogContents.of(records),
         host_control=host_control,
+        rotors=read_rotors(entries, vehicle_shift_us),
     )
 
 

@@ -19,6 +19,7 @@ from trimtab.host.log.tracks import (
     Observer,
     RecordedImu,
     RecordedInputs,
+    Rotors,
     Status,
 )
 from trimtab.host.vehicle import Vehicle
@@ -66,6 +67,8 @@ class Flight:
         Size and topics of the log's file.
     host_control
         Steps of a controller on the host; None if the vehicle flew by its own law, or in an import.
+    rotors
+        Measured rotor speeds; None if the vehicle reports none.
     """
 
     id: str
@@ -94,6 +97,7 @@ class Flight:
     host_control: HostControl | None = None
     unused: tuple[tuple[int, int], ...] = ()
     rebuilt: Rebuilt | None = None
+    rotors: Rotors | None = None
 
     @property
     def tracking_parts(self) -> tuple[tuple[int, int], ...]:

@@ -22,10 +22,11 @@ from trimtab.host.log.tracks import (
     Observer,
     RecordedImu,
     RecordedInputs,
+    Rotors,
     Status,
     Times,
 )
-from trimtab.protocol.generated import flight_pb2, host_control_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2
 
 CAMERAS_SET_US = 25_000
 """Jump of the cameras' clock against the host's above which the clock was set."""
@@ -147,6 +148,18 @@ def read_observer(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Obse
         Observer,
         t_us=_counts(messages, "source_us") - shift_us,
         disturbance=_columns(messages, lambda m: m.observer_ned_m_s2, 3),
+    )
+
+
+def read_rotors(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Rotors | None:
+    """Return the rotor speeds; None if the log has none."""
+    messages = [m for _, m in decoded(entries, topics.FC_ROTORS, rotors_pb2.Rotors)]
+    if not messages:
+        return None
+    return _finite(
+        Rotors,
+        t_us=_counts(messages, "source_us") - shift_us,
+        speed=_columns(messages, lambda m: m.speed, 4),
     )
 
 

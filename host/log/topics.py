@@ -11,11 +11,12 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
-from trimtab.protocol.generated import flight_pb2, host_control_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2
 
 MOCAP_POSE = "/mocap/pose"
 FC_ESTIMATE = "/fc/estimate"
 FC_CONTROL = "/fc/control"
+FC_ROTORS = "/fc/rotors"
 FC_STATUS = "/fc/status"
 REFERENCE = "/reference"
 HOST_CONTROL = "/host/control"
@@ -166,6 +167,17 @@ CONTROLLED_TOPICS: tuple[Topic, ...] = (
     ),
 )
 """Topics of the log of a flight by a controller on the host."""
+
+ROTOR_TOPICS: tuple[Topic, ...] = (
+    Topic(
+        name=FC_ROTORS,
+        message=rotors_pb2.Rotors,
+        sampling="sampled",
+        rate="50-100 Hz",
+        content="rotor speeds as the motor controllers measure them, over that at the greatest thrust",
+    ),
+)
+"""Topics that the log of a vehicle holds in addition if it measures rotor speeds."""
 
 IMPORTED_TOPICS: tuple[Topic, ...] = (
     FLIGHT_TOPICS[0],

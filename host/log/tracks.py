@@ -179,6 +179,22 @@ class Observer(_Track):
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
+class Rotors(_Track):
+    """Rotor speeds as the motor controllers measure them.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    speed
+        Speed of each rotor, over that at the greatest thrust.
+    """
+
+    t_us: Annotated[Times, "samples"]
+    speed: Annotated[Floats, "samples 4"]
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
 class Status(_Track):
     """State and health of the vehicle.
 

@@ -35,7 +35,7 @@ from trimtab.host.log.provenance import (
     Provenance,
 )
 from trimtab.host.log.topics import Topic
-from trimtab.protocol.generated import flight_pb2
+from trimtab.protocol.generated import flight_pb2, rotors_pb2
 
 
 def partial_path(path: Path) -> Path:
@@ -141,6 +141,10 @@ class LogWriter:
             self._schemas[name] = self._mcap.add_schema(name, described.SerializeToString(deterministic=True))
         return self._mcap.add_channel(topic.name, self._schemas[name], topic.metadata())
 
+    def holds(self, topic: str) -> bool:
+        """Return whether the log has a channel for a topic."""
+        return topic in self._channels
+
     def write(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
         """Write a message of any topic. If the file cannot hold its times, write nothing and return False."""
         if not (0 <= log_us <= LAST_US and 0 <= publish_us <= LAST_US):
@@ -150,7 +154,7 @@ class LogWriter:
 
     def _write_shown(self, topic: str, message: Any, log_us: int, publish_us: int) -> bool:
         """Write a message of a display topic, unless the log lacks that topic."""
-        return topic in self._channels and self.write(topic, message, log_us, publish_us)
+        return self.holds(topic) and self.write(topic, message, log_us, publish_us)
 
     def counts(self) -> dict[str, int]:
         """Return the number of messages by topic, of topics with any. Call it after `close`."""
@@ -196,6 +200,11 @@ class LogWriter:
         message.gyro_bias_rad_s[:] = gyro_bias
         message.mocap_age_us = mocap_age_us
         return self.write(topics.FC_ESTIMATE, message, stamps.log_us, stamps.publish_us)
+
+    def rotors(self, stamps: Stamps, speed: Sequence[float]) -> bool:
+        """Write `/fc/rotors`. speed: over that at the greatest thrust."""
+        message = rotors_pb2.Rotors(source_us=stamps.source_us, speed=speed)
+        return self.write(topics.FC_ROTORS, message, stamps.log_us, stamps.publish_us)
 
     def reference(
         self,

@@ -12,7 +12,15 @@ from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import Ops
 from trimtab.firmware_model.law.rotations import euler_rates, euler_to_matrix, mat_vec
 from trimtab.host.models.airframe import RATE, THETA, THRUST, Airframe, Part, V
-from trimtab.host.models.slots import add, gravity_ned, inertia, loads, motor_lag_s
+from trimtab.host.models.slots import (
+    add,
+    driven_thrusts_n,
+    gravity_ned,
+    inertia,
+    loads,
+    motor_lag_s,
+    rotor_lags_s,
+)
 
 Scalar = Any
 
@@ -30,7 +38,8 @@ def derivative(  # noqa: PLR0913 (an equation of many variables)
 ) -> list[Scalar]:
     """Return xdot, 16 scalars, for commanded rotor thrusts in N; other arguments as of `rigid_body`."""
     body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd)
-    return [*body, *thrust_rates(x[THRUST], thrust_command, motor_lag_s(ops, vehicle, effects))]
+    lag_s = motor_lag_s(ops, vehicle, effects)
+    return [*body, *thrust_rates(ops, vehicle, effects, x[THRUST], thrust_command, lag_s)]
 
 
 def rigid_body(  # noqa: PLR0913 (an equation of many variables)
@@ -82,10 +91,21 @@ def rigid_body(  # noqa: PLR0913 (an equation of many variables)
     return [*v, *a, *euler_rates(ops, x[THETA], rate), *alpha]
 
 
-def thrust_rates(thrust: Sequence[Scalar], command: Sequence[Scalar], lag_s: Scalar) -> list[Scalar]:
-    """Return the derivatives of the four rotor thrusts: a first-order lag towards the command."""
-    per_lag = 1.0 / lag_s
-    return [(wanted - now) * per_lag for wanted, now in zip(command, thrust, strict=True)]
+def thrust_rates(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    thrust: Sequence[Scalar],
+    command: Sequence[Scalar],
+    lag_s: Scalar,
+) -> list[Scalar]:
+    """Return the derivatives of the rotor thrusts: a first-order lag towards what the commands drive them to.
+
+    lag_s: time constant of all rotors, before the factors of each.
+    """
+    driven = driven_thrusts_n(ops, vehicle, effects, command)
+    lags = rotor_lags_s(ops, effects, lag_s, driven, thrust)
+    return [(wanted - now) * (1.0 / lag) for wanted, now, lag in zip(driven, thrust, lags, strict=True)]
 
 
 def rotor_torque(vehicle: Airframe, thrust: Sequence[Scalar]) -> tuple[Scalar, Scalar, Scalar]:

@@ -184,7 +184,8 @@ class Phi:
         effect_rates = memory_rates(ops, self.vehicle, parts, x, memory)
         lag_s = motor_lag_s(ops, self.vehicle, parts) + self.hold_s
         if self.drive == "inputs":
-            return [*body, *thrust_rates(x[THRUST], drive[COMMANDED_THRUST], lag_s), *effect_rates]
+            thrusts = thrust_rates(ops, self.vehicle, parts, x[THRUST], drive[COMMANDED_THRUST], lag_s)
+            return [*body, *thrusts, *effect_rates]
         constants = FlightConstants(*flight)
         return [*body, *self._loop_rates(ops, parts, x, drive, constants, body, lag_s), *effect_rates]
 
@@ -215,7 +216,7 @@ class Phi:
             delay_s = command_delay_s(ops, parts) + self.hold_s
             lag_s = lag_s - self.hold_s  # here the hold is part of the delay, not of the lag
             arriving, delay_rates = continuous_law.delayed_command(ops, command, x[self.commands], delay_s)
-        thrusts = thrust_rates(x[THRUST], arriving, lag_s)
+        thrusts = thrust_rates(ops, self.vehicle, parts, x[THRUST], arriving, lag_s)
         return [*thrusts, *integral_rates, *feedback.error_rates, *observer, *delay_rates]
 
     def _feedback(

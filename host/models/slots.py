@@ -132,6 +132,29 @@ def motor_lag_s(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Scalar:
     return lag
 
 
+def driven_thrusts_n(
+    ops: Ops, vehicle: Airframe, effects: Sequence[Part], command_n: Sequence[Scalar]
+) -> Sequence[Scalar]:
+    """Return the thrusts that the commanded thrusts (N) drive the rotors to, with all effects."""
+    hover_n = vehicle.mass_kg * GRAVITY / 4.0
+    for effect, theta in effects:
+        if effect.driven_thrust_n is not None:
+            command_n = [effect.driven_thrust_n(ops, theta, command, hover_n) for command in command_n]
+    return command_n
+
+
+def rotor_lags_s(
+    ops: Ops, effects: Sequence[Part], lag_s: Scalar, driven_n: Sequence[Scalar], thrust_n: Sequence[Scalar]
+) -> list[Scalar]:
+    """Return the time constant of each rotor: `lag_s`, common to all, with the factors of all effects."""
+    lags = [lag_s] * len(thrust_n)
+    for effect, theta in effects:
+        if effect.lag_factor is not None:
+            factors = [effect.lag_factor(ops, theta, *pair) for pair in zip(driven_n, thrust_n, strict=True)]
+            lags = [lag * factor for lag, factor in zip(lags, factors, strict=True)]
+    return lags
+
+
 def mocap_latency_s(ops: Ops, effects: Sequence[Part]) -> Scalar:
     """Return the undeclared age of a pose at its time stamp: the sum over all effects."""
     latency: Scalar = 0.0

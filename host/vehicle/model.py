@@ -131,6 +131,13 @@ class Gains(Strict):
     """Bandwidth of the disturbance observer, 1/s. Without it, the observer is off."""
 
 
+class Sensors(Strict):
+    """What the vehicle measures beside gyro, accelerometer and battery."""
+
+    rotor_speed: bool
+    """Whether the motor controllers report rotor speeds, sent as FC_ROTORS."""
+
+
 def _read_only(mapping: Mapping[str, float]) -> Mapping[str, float]:
     """Return a read-only copy of the mapping."""
     return MappingProxyType(dict(mapping))
@@ -157,6 +164,7 @@ class Vehicle(Strict):
     gains: Gains
     tolerances: Annotated[Mapping[ToleranceKey, Positive], AfterValidator(_read_only)]
     """One standard deviation of what is not worth naming, by "effect.parameter" or "effect"."""
+    sensors: Sensors | None = None
 
     @field_validator("inertia_kg_m2")
     @classmethod
@@ -195,6 +203,11 @@ class Vehicle(Strict):
     def id(self) -> str:
         """First 12 hex digits of the SHA-256 of the canonical text."""
         return hashlib.sha256(self.to_toml().encode()).hexdigest()[:12]
+
+    @property
+    def measures_rotor_speed(self) -> bool:
+        """Whether the vehicle reports its rotor speeds."""
+        return self.sensors is not None and self.sensors.rotor_speed
 
     @property
     def id_bytes(self) -> bytes:

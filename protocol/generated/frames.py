@@ -50,6 +50,7 @@ MESSAGES: dict[int, tuple[str, int, int]] = {
     52102: ("FC_STATUS", 142, 81),
     52103: ("RADIO_STATS", 200, 22),
     52104: ("FC_OBSERVER", 140, 16),
+    52105: ("FC_ROTORS", 8, 12),
     52110: ("UPLOAD_BEGIN", 202, 40),
     52111: ("UPLOAD_CHUNK", 128, 104),
     52112: ("UPLOAD_STATUS", 135, 74),

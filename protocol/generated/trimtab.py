@@ -1149,6 +1149,7 @@ MAVLINK_MSG_ID_FC_ESTIMATE = 52101
 MAVLINK_MSG_ID_FC_STATUS = 52102
 MAVLINK_MSG_ID_RADIO_STATS = 52103
 MAVLINK_MSG_ID_FC_OBSERVER = 52104
+MAVLINK_MSG_ID_FC_ROTORS = 52105
 MAVLINK_MSG_ID_UPLOAD_BEGIN = 52110
 MAVLINK_MSG_ID_UPLOAD_CHUNK = 52111
 MAVLINK_MSG_ID_UPLOAD_STATUS = 52112
@@ -3124,6 +3125,44 @@ class MAVLink_fc_observer_message(MAVLink_message):
 setattr(MAVLink_fc_observer_message, "name", mavlink_msg_deprecated_name_property())
 
 
+class MAVLink_fc_rotors_message(MAVLink_message):
+    """
+    Rotor speeds at this tick, as the motor controllers measure them;
+    sent if they do.
+    """
+
+    id = MAVLINK_MSG_ID_FC_ROTORS
+    msgname = "FC_ROTORS"
+    fieldnames = ["tick", "speed"]
+    ordered_fieldnames = ["tick", "speed"]
+    fieldtypes = ["uint32_t", "uint16_t"]
+    fielddisplays_by_name: Dict[str, str] = {}
+    fieldenums_by_name: Dict[str, str] = {}
+    fieldunits_by_name: Dict[str, str] = {"tick": "ms"}
+    native_format = bytearray(b"<IH")
+    orders = [0, 1]
+    lengths = [1, 4]
+    array_lengths = [0, 4]
+    crc_extra = 8
+    unpacker = struct.Struct("<I4H")
+    instance_field = None
+    instance_offset = -1
+    _type, _fieldnames = msgname, fieldnames
+    _instance_field, _instance_offset = instance_field, instance_offset
+
+    def __init__(self, tick: int, speed: Sequence[int]):
+        self.tick = tick
+        self.speed = speed
+
+    def pack(self, mav: "MAVLink", force_mavlink1: bool = False) -> bytes:
+        return self._pack(mav, self.crc_extra, self.unpacker.pack(self.tick, self.speed[0], self.speed[1], self.speed[2], self.speed[3]), force_mavlink1=force_mavlink1)
+
+
+# Define name on the class for backwards compatibility (it is now msgname).
+# Done with setattr to hide the class variable from mypy.
+setattr(MAVLink_fc_rotors_message, "name", mavlink_msg_deprecated_name_property())
+
+
 class MAVLink_upload_begin_message(MAVLink_message):
     """
     Announces a blob, or asks how far its transfer is; answered by
@@ -3415,6 +3454,7 @@ mavlink_map: Dict[int, Type[MAVLink_message]] = {
     MAVLINK_MSG_ID_FC_STATUS: MAVLink_fc_status_message,
     MAVLINK_MSG_ID_RADIO_STATS: MAVLink_radio_stats_message,
     MAVLINK_MSG_ID_FC_OBSERVER: MAVLink_fc_observer_message,
+    MAVLINK_MSG_ID_FC_ROTORS: MAVLink_fc_rotors_message,
     MAVLINK_MSG_ID_UPLOAD_BEGIN: MAVLink_upload_begin_message,
     MAVLINK_MSG_ID_UPLOAD_CHUNK: MAVLink_upload_chunk_message,
     MAVLINK_MSG_ID_UPLOAD_STATUS: MAVLink_upload_status_message,
@@ -5250,6 +5290,28 @@ class MAVLink(object):
 
         """
         self.send(self.fc_observer_encode(tick, disturbance), force_mavlink1=force_mavlink1)
+
+    def fc_rotors_encode(self, tick: int, speed: Sequence[int]) -> MAVLink_fc_rotors_message:
+        """
+        Rotor speeds at this tick, as the motor controllers measure them; sent
+        if they do.
+
+        tick                      : Ticks since boot. [ms] (type:uint32_t)
+        speed                     : Of each rotor, in 1/50000 of the speed that gives the greatest thrust in still air. (type:uint16_t)
+
+        """
+        return MAVLink_fc_rotors_message(tick, speed)
+
+    def fc_rotors_send(self, tick: int, speed: Sequence[int], force_mavlink1: bool = False) -> None:
+        """
+        Rotor speeds at this tick, as the motor controllers measure them; sent
+        if they do.
+
+        tick                      : Ticks since boot. [ms] (type:uint32_t)
+        speed                     : Of each rotor, in 1/50000 of the speed that gives the greatest thrust in still air. (type:uint16_t)
+
+        """
+        self.send(self.fc_rotors_encode(tick, speed), force_mavlink1=force_mavlink1)
 
     def upload_begin_encode(self, size: int, target_system: int, kind: int, chunk: int, query: int, digest: Sequence[int]) -> MAVLink_upload_begin_message:
         """

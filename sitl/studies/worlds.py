@@ -175,7 +175,9 @@ def plan_worlds(
         "outside": [(name,) for name in _rotation(outside, parts["outside"], rng)],
         "thin": [(name,) for name in _rotation(alone, parts["thin"], rng)],
     }
-    cases = iter(_rotation(THIN, parts["thin"], rng))
+    cycle = math.lcm(len(THIN), len(alone))  # after which kinds and cases would meet again
+    order = _rotation(THIN, len(THIN), rng)
+    cases = iter(order[(i + i // cycle) % len(order)] for i in range(parts["thin"]))
     drawn = [
         (kind_class, kinds, next(cases) if kind_class == "thin" else None)
         for kind_class, found in sets.items()

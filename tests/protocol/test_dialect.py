@@ -83,6 +83,8 @@ def test_telemetry_and_chunks_have_the_sizes_of_the_budget() -> None:
     assert sizes["FC_ESTIMATE"] == 74
     assert sizes["FC_OBSERVER"] == 28
     assert sizes["FC_ESTIMATE"] + sizes["FC_OBSERVER"] <= FRAME_BYTES
+    assert sizes["FC_ROTORS"] == 24
+    assert sizes["FC_ESTIMATE"] + sizes["FC_ROTORS"] <= FRAME_BYTES
     assert sizes["UPLOAD_CHUNK"] == FRAME_BYTES
     assert sizes["TIMESYNC"] == 28
     assert sizes["COMMAND_LONG"] == 45

@@ -196,6 +196,23 @@ def test_estimate_survives_the_wire() -> None:
     assert back.gyro_bias == (0.0, 0.0, 0.125)
 
 
+def test_rotor_speeds_survive_the_wire_within_half_a_step() -> None:
+    speeds = (0.0, 0.476807, 1.0, 2.0)
+    message = telemetry.rotors_message(2**32 + 7, speed=speeds)
+    (back,) = Codec(*m.HOST).decode(Codec(*m.VEHICLE).encode(message))
+    assert isinstance(back, m.FcRotors)
+    assert back.tick == 7
+    read = telemetry.decode_rotor_speed(back.speed)
+    assert read[:3] == pytest.approx(speeds[:3], abs=0.5 / telemetry.ROTOR_COUNTS)
+    assert read[3] == 65535 / telemetry.ROTOR_COUNTS  # the end of the code
+
+
+@pytest.mark.parametrize("speed", [math.nan, math.inf])
+def test_rotor_speed_that_is_not_finite_is_not_sent(speed: float) -> None:
+    with pytest.raises((ValueError, OverflowError)):
+        telemetry.rotors_message(1, speed=(0.5, speed, 0.5, 0.5))
+
+
 @pytest.mark.parametrize("now", [0, 5, 2**31, 2**32 - 1, 2**32, 3 * 2**32 + 7])
 @pytest.mark.parametrize("ahead", [-3, 0, 4000, 2**31 - 1])
 def test_whole_tick_is_the_nearest_with_those_bits(now, ahead):

@@ -98,6 +98,8 @@ CASES = {
     "ground-effect": _one("ground-effect", share=0.15, k=0.0156),
     "gyroscopic": _one("gyroscopic", flown=QUICK, h=5.2),
     "inertia": _one("inertia", x=1.26, y=0.74, z=1.26),
+    "uneven-lag": _one("uneven-lag", flown=QUICK, share=0.2, ratio=2.3),
+    "dead-zone": _one("dead-zone", flown=STEADY, share=0.15, width=0.104, centre=1.0),
     # Half of the plant's drag goes with rotor speed; along z the library calls that thrust-inflow.
     "linear-drag": Case(world={"linear-drag": DRAG}, free=("linear-drag.dz",)),
     "mass": Case(world={"mass": {"factor": 1.104}}, vehicle=UNWEIGHED),

@@ -11,7 +11,7 @@ import pytest
 
 from trimtab.host.link.keys import StationKey
 from trimtab.host.vehicle import load_vehicle
-from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver, FcStatus
+from trimtab.protocol.messages import FcControl, FcEstimate, FcObserver, FcRotors, FcStatus
 from trimtab.protocol.signing import SigningKey
 from trimtab.protocol.stream import StreamSplitter, message_id
 from trimtab.sitl.vehicle import SimulatedVehicle
@@ -45,6 +45,7 @@ def count_frames(simulated: Any, counts: Counter[str]) -> None:
                 kinds = {
                     **{POSE: "pose", FcControl.id: "control", FcEstimate.id: "estimate"},
                     FcObserver.id: "observer",
+                    FcRotors.id: "rotors",
                 }
                 counts[next((kind for number, kind in kinds.items() if number in ids), "other")] += 1
             return frame
@@ -71,6 +72,38 @@ def test_flight_takes_the_frames_of_the_budget(session_tools: Any) -> None:
     used = sum(counts.values()) / seconds
     assert used < everything
     assert 500 - used > left
+    print({kind: round(count / seconds, 1) for kind, count in counts.items()}, round(used, 1))
+
+
+@pytest.mark.parametrize(
+    ("signed", "observer", "rate", "frames"),
+    [(False, False, 100, 0), (False, True, 50, 50), (True, False, 50, 50), (True, True, 50, 50)],
+)
+def test_rotor_speeds_take_the_frames_that_the_page_states(
+    session_tools: Any, signed: bool, observer: bool, rate: int, frames: int
+) -> None:
+    """frames: a second beside poses, control and estimate, with the observer's where it has its own."""
+    figure_eight, put_on_board, fly = session_tools
+    vehicle = load_vehicle("research").replace(sensors={"rotor_speed": True})
+    key = StationKey(key=SigningKey(bytes(range(32))), name="lab.key") if signed else None
+    simulated = SimulatedVehicle.create(
+        vehicle, world="empty", world_seed=8403, key=None if key is None else key.key
+    )
+    if observer:
+        simulated.store.settings.change("OBS_GAIN", 2.0)
+    put_on_board(simulated, figure_eight(vehicle))
+    counts: Counter[str] = Counter()
+    count_frames(simulated, counts)
+    session = fly(simulated, key=key)
+    ticks = [m.tick for m in session.messages if isinstance(m, FcStatus) and m.state in STATES_IN_FLIGHT]
+    seconds = (max(ticks) - min(ticks)) * 1e-3
+    sent = [m.tick for m in session.messages if isinstance(m, FcRotors) and min(ticks) <= m.tick < max(ticks)]
+    assert len(sent) / seconds == pytest.approx(rate, rel=0.03)
+    assert counts["estimate"] / seconds == pytest.approx(100, rel=0.03)
+    own = counts["rotors"] + (counts["observer"] if signed else 0)
+    assert own / seconds == pytest.approx(frames, rel=0.1, abs=2.0)
+    used = sum(counts.values()) / seconds
+    assert used < budget(5 if signed else 3)[4] + frames
     print({kind: round(count / seconds, 1) for kind, count in counts.items()}, round(used, 1))
 
 

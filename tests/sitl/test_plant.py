@@ -18,7 +18,8 @@ from trimtab.sitl.surroundings import GRAVITY_M_S2
 from trimtab.sitl.vectors import rotation
 from trimtab.sitl.world import WorldFile, load_world
 
-PAYLOAD = slice(30, 36)
+ACCELERATION, TURNING = slice(24, 27), slice(27, 30)
+PAYLOAD, CLOCK = slice(30, 36), slice(38, 41)
 LEVEL = (1.0, 0.0, 0.0, 0.0)
 STATE_P, STATE_V, STATE_Q, STATE_RATE, STATE_SPEED = (
     slice(0, 3),
@@ -257,6 +258,69 @@ def test_payload_lies_slack_on_the_floor_and_weighs_in_the_air(vehicle: Vehicle)
         plant.step((u, u, u, u))
     assert plant.pose[0:3].tolist() == pytest.approx([0.0, 0.0, -10.0], abs=5e-3)
     assert plant.state[PAYLOAD][2] - plant.pose[2] == pytest.approx(0.506, abs=1e-3)
+
+
+def test_load_hangs_in_its_clamp_until_its_time_after_lift_off(vehicle: Vehicle) -> None:
+    plant = Plant(vehicle, stated(vehicle, {"dropped-load": {"share": 0.1, "at_s": 0.5}}), 0)
+    plant.reset((0.0, 0.0, 0.0), LEVEL)
+    for _ in range(1000):  # on the floor, no time passes
+        plant.step((0.0, 0.0, 0.0, 0.0))
+    assert plant.state[CLOCK][0] == 0.0
+    share = math.sqrt(1.1 * vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))
+    airborne(plant, speed=(share,) * 4)
+    c1, c2 = vehicle.thrust_curve
+    u = 2.0 * share * share / (c1 + math.sqrt(c1 * c1 + 4.0 * c2 * share * share))
+    climbs = []
+    for _ in range(600):
+        before = plant.pose[5]
+        plant.step((u, u, u, u))
+        climbs.append((before - plant.pose[5]) / 1e-3)
+    assert climbs[:499] == pytest.approx([0.0] * 499, abs=1e-6)
+    assert climbs[501:] == pytest.approx([0.1 * GRAVITY_M_S2] * 99, rel=1e-3)
+
+
+def test_camera_in_its_gimbal_pitches_a_tilted_vehicle(vehicle: Vehicle) -> None:
+    """The camera hangs back of a vehicle with its nose up: thrust, ahead of it, lifts the nose further."""
+    plant = Plant(vehicle, stated(vehicle, {"stabilised-camera": {"lever_m": 0.01}}), 0)
+    share = math.sqrt(vehicle.mass_kg * GRAVITY_M_S2 / (4.0 * vehicle.thrust_max_n))
+    u = hover_command(vehicle)
+    for pitch in (0.0, 0.2, -0.2):
+        airborne(plant, speed=(share,) * 4, q=(math.cos(pitch / 2), 0.0, math.sin(pitch / 2), 0.0))
+        for _ in range(2):  # the first tick goes ahead with the accelerations of the tick before
+            plant.step((u, u, u, u))
+        turning = vehicle.mass_kg * GRAVITY_M_S2 * 0.01 * math.sin(pitch) / vehicle.inertia_kg_m2[1]
+        assert plant.state[TURNING][1] == pytest.approx(turning, rel=0.02, abs=1e-9)
+
+
+def test_stuttering_motor_loses_speed_at_its_times(vehicle: Vehicle) -> None:
+    times = {"every_s": 1.0, "length_s": 0.08}
+    towards = math.atan2(vehicle.rotors[2].position_m[1], vehicle.rotors[2].position_m[0])
+    kind = {"stuttering-motor": {"depth": 0.5, "towards": towards, **times}}
+    plant = Plant(vehicle, stated(vehicle, kind), 0)
+    plant.reset((0.0, 0.0, -100.0), LEVEL)
+    u, slow = hover_command(vehicle), 0
+    for _ in range(2000):
+        plant.step((u, u, u, u))
+        speeds = plant.state[STATE_SPEED].tolist()
+        assert speeds[0] == speeds[1] == speeds[3]
+        slow += speeds[2] < 0.99 * speeds[0]
+    assert 160 < slow < 1000
+
+
+def test_sweeping_fan_pushes_once_a_period_and_each_flight_at_its_own_time(vehicle: Vehicle) -> None:
+    kind = {"sweeping-fan": {"push_m_s2": 1.0, "period_s": 4.0, "towards": 0.0}}
+    greatest = []
+    for flight in range(3):
+        plant = Plant(vehicle, stated(vehicle, kind), flight)
+        plant.reset((0.0, 0.0, -100.0), LEVEL)
+        pushes = []
+        for _ in range(4000):
+            plant.step((0.0, 0.0, 0.0, 0.0))
+            pushes.append(plant.state[ACCELERATION][0])
+        assert max(pushes) == pytest.approx(1.0, abs=0.25)  # the vehicle already moves with the air
+        assert sum(push > 0.5 * max(pushes) for push in pushes) == pytest.approx(525, abs=60)
+        greatest.append(pushes.index(max(pushes)))
+    assert len(set(greatest)) == 3
 
 
 def test_command_arrives_late_by_the_delay_of_the_world(vehicle: Vehicle) -> None:

@@ -20,6 +20,7 @@ from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.plant import Plant
 from trimtab.sitl.plant_constants import plant_parameters
 from trimtab.sitl.plant_model import PARAMETERS, PARTS, STATE, TICK_S, tick
+from trimtab.sitl.rotors import rotor_speeds
 from trimtab.sitl.sensors import Mocap
 from trimtab.sitl.surroundings import GRAVITY_M_S2, payload
 from trimtab.sitl.vectors import rotation
@@ -30,6 +31,8 @@ ABSURD = 0.15
 NEAR = 0.1
 LANES = 2000
 STATE_SIZE = sum(size for _, size in STATE)
+SWINGS_HZ = np.array([0.7, 1.5, 3.0, 6.0])
+COMMAND_NOISE = 0.002  # of motor commands within 10 ms, in a simulated flight in the world dead-zone
 
 Effects = Mapping[str, Mapping[str, float]]
 
@@ -177,35 +180,78 @@ def test_battery_sag_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     judge("battery-sag", float(np.linalg.norm(missing) / np.linalg.norm(thrust / nominal - 1)))
 
 
+def swinging(vehicle: Vehicle, swing: float, k: int) -> np.ndarray:
+    """Motor commands at tick k that swing by a share of hover at 0.7, 1.5, 3 and 6 Hz."""
+    return hover_speed(vehicle) * (1 + swing * np.sin(2 * math.pi * SWINGS_HZ * k * TICK_S))
+
+
+def thrusts_of_plant(vehicle: Vehicle, swing: float, effects: Effects) -> np.ndarray:
+    """Thrust over the greatest one, in two seconds of ticks x four, under `swinging`."""
+    state = [np.zeros(4)] * STATE_SIZE
+    state[2], state[6] = np.full(4, -100.0), np.ones(4)
+    state[13:17] = [np.full(4, hover_speed(vehicle))] * 4
+    values, zeros, thrust = parameters(vehicle, effects), [np.zeros(4)] * 6, []
+    for k in range(2000):
+        command = [swinging(vehicle, swing, k)] * 4
+        inputs = {"state": state, "parameters": values, "command": command, "noise": zeros}
+        state = tick(NUMPY, inputs, PARTS & effects.keys())["state"]
+        thrust.append(state[13] ** 2)
+    return np.array(thrust)
+
+
+def thrusts_of_host(vehicle: Vehicle, swing: float, up_s: float, down_s: float) -> np.ndarray:
+    """The same by a first-order lag on thrust, with one time constant to rise and one to fall."""
+    thrust, out = np.full(4, hover_speed(vehicle) ** 2), []
+    for k in range(2000):
+        target = swinging(vehicle, swing, k) ** 2
+        lag_s = np.where(target > thrust, up_s, down_s)
+        thrust = target + (thrust - target) * np.exp(-TICK_S / lag_s)
+        out.append(thrust)
+    return np.array(out)
+
+
 def test_motor_lag_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     """Thrust under commands that swing at several frequencies against a first-order lag on thrust."""
-    frequency = np.array([0.7, 1.5, 3.0, 6.0])
-    hover = math.sqrt(vehicle.mass_kg * GRAVITY_M_S2 / (4 * vehicle.thrust_max_n))
-
-    def plant(effects: Effects) -> np.ndarray:
-        state = [np.zeros(4)] * STATE_SIZE
-        state[2], state[6] = np.full(4, -100.0), np.ones(4)
-        state[13:17] = [np.full(4, hover)] * 4
-        values, zeros, thrust = parameters(vehicle, effects), [np.zeros(4)] * 6, []
-        for k in range(2000):
-            u = hover * (1 + 0.2 * np.sin(2 * math.pi * frequency * k * TICK_S))
-            inputs = {"state": state, "parameters": values, "command": [u] * 4, "noise": zeros}
-            state = tick(NUMPY, inputs, frozenset())["state"]
-            thrust.append(state[13] ** 2)
-        return np.array(thrust)
-
-    def host(lag_s: float) -> np.ndarray:
-        thrust, out = np.full(4, hover**2), []
-        for k in range(2000):
-            u = hover * (1 + 0.2 * np.sin(2 * math.pi * frequency * k * TICK_S))
-            thrust = u * u + (thrust - u * u) * math.exp(-TICK_S / lag_s)
-            out.append(thrust)
-        return np.array(out)
-
-    slow, fast = plant({"motor-lag": {"extra_s": 0.015}}), plant({})
+    slow = thrusts_of_plant(vehicle, 0.2, {"motor-lag": {"extra_s": 0.015}})
+    fast = thrusts_of_plant(vehicle, 0.2, {})
     lags = vehicle.motor_lag_s + np.linspace(0.010, 0.020, 41)
-    best = min(float(np.linalg.norm(slow - host(lag))) for lag in lags)
+    best = min(float(np.linalg.norm(slow - thrusts_of_host(vehicle, 0.2, lag, lag))) for lag in lags)
     judge("motor-lag", best / float(np.linalg.norm(slow - fast)))
+
+
+def test_uneven_lag_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
+    """Thrust under commands that swing at several frequencies against two first-order lags on thrust."""
+    uneven = thrusts_of_plant(vehicle, 0.1, {"uneven-lag": {"ratio": 2.0}})
+    even = thrusts_of_plant(vehicle, 0.1, {})
+    ratios = np.linspace(1.7, 2.3, 31)
+    ups = 2 * vehicle.motor_lag_s / (1 + ratios)
+    left = [
+        float(np.linalg.norm(uneven - thrusts_of_host(vehicle, 0.1, up, ratio * up)))
+        for ratio, up in zip(ratios, ups, strict=True)
+    ]
+    assert ratios[int(np.argmin(left))] == pytest.approx(2.0, rel=NEAR)
+    judge("uneven-lag", min(left) / float(np.linalg.norm(uneven - even)))
+
+
+def test_dead_zone_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
+    """Mean settled thrust over commands that vary as within 10 ms of flight, against a smooth zone."""
+    rng = np.random.default_rng(9)
+    P = plant_parameters(vehicle, world(vehicle, {"dead-zone": {"width": 0.08, "centre": 1.0}}))
+    mean = hover_speed(vehicle) * rng.normal(1.0, 0.04, LANES)
+    sent = mean[:, None] + rng.normal(0.0, COMMAND_NOISE, (LANES, 200))
+    at_once = {**P, "rise_half_tick": [0.0]}
+    speed, _ = rotor_speeds(NUMPY, at_once, [0 * sent], [sent], 0.0, 0.0, {"dead-zone"})
+    hover = hover_speed(vehicle) ** 2
+    seen, commanded = (speed[0] ** 2 / hover).mean(1), (sent**2 / hover).mean(1)
+
+    def host(width: float) -> np.ndarray:
+        off = commanded - 1.0
+        return 1.0 + off * (1.0 - width**16 / (width**16 + off**16))
+
+    widths = np.linspace(0.06, 0.1, 81)
+    left = [float(np.linalg.norm(seen - host(width))) for width in widths]
+    assert widths[int(np.argmin(left))] == pytest.approx(0.08, rel=NEAR)
+    judge("dead-zone", min(left) / float(np.linalg.norm(seen - commanded)))
 
 
 def test_mocap_latency_differs_from_the_hosts_form() -> None:

@@ -8,8 +8,11 @@ from itertools import islice
 import numpy as np
 import pytest
 
+from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.camera_faults import CameraFaults
+from trimtab.sitl.draw import draw_world
 from trimtab.sitl.sensors import Imu, Mocap, Pose
-from trimtab.sitl.world import ImuSettings, MocapSettings
+from trimtab.sitl.world import ImuSettings, MocapSettings, WorldFile
 
 STILL = (1.0, -2.0, -1.5, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0)
 NO_RATE = (0.0, 0.0, 0.0)
@@ -54,6 +57,44 @@ def test_camera_shows_the_vehicle_as_it_was_before_the_stamp(latency_s: float) -
     assert np.mean(ages) == pytest.approx(latency_s, abs=0.02 * latency_s + 1e-9)
     assert max(ages) <= 1.15 * latency_s + 1e-9
     assert turned[-1] == pytest.approx(0.5 * found[-1][1].p_ned[0] / 2.0, abs=1e-6)
+
+
+def faulty(kind: str, values: dict[str, float]) -> Mocap:
+    """Return cameras without noise with one fault."""
+    content = {"description": "x", "tolerances": False, "effects": {kind: values}}
+    world = draw_world("x", WorldFile.model_validate(content), 0, load_vehicle("research"))
+    return Mocap(CLEAN, 0.0, np.random.default_rng(0), faults=CameraFaults.of(world))
+
+
+def test_camera_that_slips_turns_positions_and_attitudes_from_its_time_after_lift_off() -> None:
+    def climbing(t: float) -> tuple[float, ...]:
+        return (1.0, 2.0, -t, 0.0, 0.0, -1.0, 1.0, 0.0, 0.0, 0.0)
+
+    cameras = faulty("camera-slip", {"tilt": 0.02, "yaw": 0.03, "at_s": 1.0, "towards": 0.5 * math.pi})
+    found = watch(cameras, 3.0, climbing)
+    for _, pose in found:
+        t = pose.stamp_us * 1e-6
+        slipped = t > 1.2  # a height of 0.2 m is lift-off
+        dx, dy = (-0.02 * t - 0.03 * 2.0, 0.03 * 1.0) if slipped else (0.0, 0.0)
+        assert pose.p_ned[:2] == pytest.approx((1.0 + dx, 2.0 + dy), abs=3e-3)
+        turn = (1.0, 0.0, 0.01, 0.015) if slipped else (1.0, 0.0, 0.0, 0.0)
+        assert pose.q_ned_frd == pytest.approx(turn, abs=3e-4)
+
+
+def test_hidden_marker_shifts_and_tilts_poses_on_one_side_of_the_room() -> None:
+    def eastward(t: float) -> tuple[float, ...]:
+        return (0.3, t - 1.0, -1.0, 0.0, 1.0, 0.0, 1.0, 0.0, 0.0, 0.0)
+
+    cameras = faulty(
+        "hidden-marker", {"shift_m": 0.02, "tilt": 0.03, "edge_m": 0.5, "towards": 0.5 * math.pi}
+    )
+    found = watch(cameras, 2.5, eastward)
+    for _, pose in found:
+        east = pose.stamp_us * 1e-6 - 1.0
+        if abs(east - 0.5) > 0.2:
+            inside = east > 0.5
+            assert pose.p_ned == pytest.approx((0.3, east + 0.02 * inside, -1.0), abs=1e-4)
+            assert pose.q_ned_frd == pytest.approx((1.0, -0.015 * inside, 0.0, 0.0), abs=2e-4)
 
 
 def test_camera_leaves_out_gaps_and_dropouts() -> None:

@@ -128,13 +128,23 @@ class SegmentModel:
         return [c.neutral + c.scale * theta_scaled[i] for i, c in enumerate(self.space.columns)]
 
     def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
-        """Return the four rotor thrusts in N that a command sets, before the motor lag."""
+        """Return the four rotor thrusts in N that a command drives the rotors to, before the motor lag."""
         log_gain, linear = self.space.by_owner(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
-        if self.in_newton:
-            return [gain * u for u in command]
         thrust_max_n, c1 = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
-        return [thrust_max_n * gain * u * (c1 + (1.0 - c1) * u) for u in command]
+        if self.in_newton:
+            thrust = [gain * u for u in command]
+        else:
+            thrust = [thrust_max_n * gain * u * (c1 + (1.0 - c1) * u) for u in command]
+        return list(slots.driven_thrusts_n(CASADI, self.vehicle, self._parts(theta_scaled), thrust))
+
+    def _lagged(self, theta_scaled: Any, target: list, thrust: list, after_s: float) -> list[Scalar]:
+        """Return the four rotor thrusts in N a time `after_s` later, on their way to `target`."""
+        parts = self._parts(theta_scaled)
+        lag = slots.motor_lag_s(CASADI, self.vehicle, parts)
+        lags = slots.rotor_lags_s(CASADI, parts, lag, target, thrust)
+        keep = [casadi.exp(-after_s / lag) for lag in lags]
+        return [t + (now - t) * share for t, now, share in zip(target, thrust, keep, strict=True)]
 
     @cached_property
     @held_interrupts()
@@ -152,10 +162,8 @@ class SegmentModel:
         next: thrusts one step later. settled: thrusts at which the command would hold them.
         """
         columns, (thrust, theta_scaled, command) = self._symbols("thrust", "z", "command")
-        lag = slots.motor_lag_s(CASADI, self.vehicle, self._parts(theta_scaled))
-        keep = casadi.exp(-self.dt_s / lag)
         target = self._commanded(theta_scaled, command)
-        after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
+        after = self._lagged(theta_scaled, target, thrust, self.dt_s)
         return _function("rotors", columns, {"next": after, "settled": target})
 
     def _own_states(self) -> casadi.Function:
@@ -190,11 +198,9 @@ class SegmentModel:
         body, thrust, theta_scaled, memory, nuisances, w, command, measured, rate = scalars[:9]
         (voltage,), (t_s,), (shift,) = scalars[9:]
         dt, vehicle, parts = self.dt_s, self.vehicle, self._parts(theta_scaled)
-        lag = slots.motor_lag_s(CASADI, vehicle, parts)
         target = self._commanded(theta_scaled, command)
-        middle_keep, keep = casadi.exp(-0.5 * dt / lag), casadi.exp(-dt / lag)
-        middle = [t + (now - t) * middle_keep for t, now in zip(target, thrust, strict=True)]
-        after = [t + (now - t) * keep for t, now in zip(target, thrust, strict=True)]
+        middle = self._lagged(theta_scaled, target, thrust, 0.5 * dt)
+        after = self._lagged(theta_scaled, target, thrust, dt)
         force_ned = [
             measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
         ]

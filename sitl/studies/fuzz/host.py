@@ -133,6 +133,7 @@ _VEHICLE_SAYS = tuple(
         m.FcControl,
         m.FcEstimate,
         m.FcObserver,
+        m.FcRotors,
         m.StatusText,
         m.RadioStats,
         m.Ping,

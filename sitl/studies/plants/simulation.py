@@ -20,10 +20,11 @@ import numpy as np
 from trimtab.host.codegen import CompiledEngine, sx_function
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
+from trimtab.sitl.carried import battery
 from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.gusts import Gusts
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
-from trimtab.sitl.plant_model import TICK_S, Block, battery, cut, next_gust, origin
+from trimtab.sitl.plant_model import TICK_S, Block, cut, next_gust, origin
 from trimtab.sitl.rotors import ground_gain
 from trimtab.sitl.studies.plants import PLANTS
 from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M, floor, payload
@@ -242,7 +243,7 @@ class _Tick:
         P, x = self._P, cut(_STATE, inputs["state"])
         voltage, charge = P["battery"][0], x["charge_used_c"][0]
         if "battery-sag" in self._parts:
-            voltage, charge = battery(ops, P, x["speeds"], charge)
+            voltage, charge = battery(ops, P, x["speeds"], charge, TICK_S)
         gusts = next_gust(P, x["gust"], inputs["noise"])
         line, hanging = [0.0, 0.0, 0.0], x["payload_ned"]
         if "slung-payload" in self._parts:

@@ -7,7 +7,7 @@ from typing import Any
 
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.sitl.studies.recorded import Group
-from trimtab.sitl.studies.scoring.metrics import exact_interval
+from trimtab.sitl.studies.scoring.counts import exact_interval
 from trimtab.sitl.studies.scoring.world import library
 
 SHARES = ("exact", "exact_names", "in_alias", "false_name")

@@ -119,6 +119,23 @@ def test_motor_lag_slows_the_rotor_thrusts():
     np.testing.assert_allclose(slow[12:], 0.5 * fast[12:], rtol=1e-13)
 
 
+@pytest.mark.parametrize("ratio", [1.0, 3.0])
+def test_uneven_lag_slows_falling_thrust_and_hastens_rising_thrust(ratio):
+    rising, falling = level(thrust=1.0), level(thrust=3.0)
+    theta = [(EFFECTS["uneven-lag"], (ratio,))]
+    up, down = rates(theta, rising)[12:], rates(theta, falling)[12:]
+    np.testing.assert_allclose(up, 0.5 * (1.0 + ratio) * rates([], rising)[12:], rtol=1e-13)
+    np.testing.assert_allclose(down, 0.5 * (1.0 + ratio) / ratio * rates([], falling)[12:], rtol=1e-13)
+
+
+def test_dead_zone_holds_the_thrust_of_its_middle():
+    hover = 0.752 * 9.81 / 4.0
+    command = [hover * (1.05 + off) for off in (0.0, 0.02, -0.05, 0.2)]
+    driven = slots.driven_thrusts_n(FLOAT, VEHICLE, [(EFFECTS["dead-zone"], (0.08, 1.05))], command)
+    np.testing.assert_allclose(driven[:3], [1.05 * hover] * 3, atol=1e-4 * hover)
+    np.testing.assert_allclose(driven[3], command[3], atol=1e-4 * hover)
+
+
 def test_com_offset_moves_the_lever_of_every_rotor():
     x, y = 0.004, -0.003
     rotors = (

@@ -26,6 +26,8 @@ SHIPPED = {
     "rotor-loss": ("loss_1", "loss_2", "loss_3", "loss_4"),
     "slung-payload": ("ratio", "length_m", "damping"),
     "thrust-inflow": ("k",),
+    "dead-zone": ("width", "centre"),
+    "uneven-lag": ("ratio",),
     "torque-bias": ("x", "y", "z"),
     "translational-lift": ("k",),
 }

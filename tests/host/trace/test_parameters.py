@@ -40,7 +40,7 @@ def test_space_of_logs_without_inputs_has_only_effects_that_thrust_does_not_expl
     parameter_space = space(VEHICLE, EFFECTS, ["thrust"])
     assert set(EFFECTS) - set(parameter_space.owners) == {
         "thrust-gain", "battery-sag", "ground-effect", "rotor-loss", "motor-lag", "actuation-delay",
-        "thrust-inflow", "translational-lift",
+        "thrust-inflow", "translational-lift", "uneven-lag", "dead-zone",
     }  # fmt: skip
 
 
