@@ -314,7 +314,6 @@ def build_inputs(selected: Names = (), **changes: Any) -> DecisionInputs:
         "null_probability": 0.0 if selected else 1.0,
         "log_evidence": {selected: 0.0},
         "posterior_weights": {selected: 1.0},
-        "inclusion_probability": {},
         "detectability": {},
         "by_segments": False,
         "residual": build_residual(),
@@ -326,7 +325,8 @@ def build_inputs(selected: Names = (), **changes: Any) -> DecisionInputs:
         "tracking_s": 60.0,
         "extent_m": 2.0,
     }
-    return DecisionInputs(selected=selected, **{**clear, **changes})
+    probability = {**dict.fromkeys(selected, 1.0), **changes.pop("inclusion_probability", {})}
+    return DecisionInputs(selected=selected, inclusion_probability=probability, **{**clear, **changes})
 
 
 def build_flight(
