@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.effects import compose_feedforward, load_effects
 from trimtab.host.models import dynamics, slots
@@ -81,7 +82,7 @@ def test_effect_typical_changes_something(name):
 
 
 def test_linear_drag_level_flight_opposes_each_axis():
-    change = rates([(EFFECTS["linear-drag"], (0.4, 0.3, 0.2))], level((2.0, -1.0, 0.5))) - rates(
+    change = rates([part("linear-drag", 0.4, 0.3, 0.2)], level((2.0, -1.0, 0.5))) - rates(
         [], level((2.0, -1.0, 0.5))
     )
     np.testing.assert_allclose(change[3:6], (-0.8, 0.3, -0.1), atol=1e-14)
@@ -89,12 +90,12 @@ def test_linear_drag_level_flight_opposes_each_axis():
 
 def test_quadratic_drag_level_flight_grows_with_speed_times_velocity():
     v = (3.0, 4.0, 0.0)
-    change = rates([(EFFECTS["quadratic-drag"], (0.03,))], level(v)) - rates([], level(v))
+    change = rates([part("quadratic-drag", 0.03)], level(v)) - rates([], level(v))
     np.testing.assert_allclose(change[3:6], (-0.45, -0.6, 0.0), atol=1e-9)
 
 
 def test_wind_at_rest_acts_through_the_drag():
-    parts = [(EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (1.0, -2.0))]
+    parts = [part("linear-drag", 0.4, 0.3, 0.2), part("wind", 1.0, -2.0)]
     np.testing.assert_allclose(
         (rates(parts, level()) - rates([], level()))[3:6], (0.4, -0.6, 0.0), atol=1e-14
     )
@@ -103,19 +104,19 @@ def test_wind_at_rest_acts_through_the_drag():
 
 def test_thrust_gain_and_inverse_mass_accelerate_alike():
     x = state(5)
-    gain = rates([(EFFECTS["thrust-gain"], (0.9,))], x)
-    mass = rates([(EFFECTS["mass"], (1.0 / 0.9,))], x)
+    gain = rates([part("thrust-gain", 0.9)], x)
+    mass = rates([part("mass", 1.0 / 0.9)], x)
     np.testing.assert_allclose(gain[3:6], mass[3:6], rtol=1e-13)
 
 
 def test_battery_sag_scales_thrust_by_a_power_of_the_voltage_ratio():
-    change = rates([(EFFECTS["battery-sag"], (2.0,))], level(), voltage_ratio=0.9)
+    change = rates([part("battery-sag", 2.0)], level(), voltage_ratio=0.9)
     np.testing.assert_allclose(change[5], 9.81 - 0.81 * 7.2 / 0.752, rtol=1e-13)
 
 
 def test_motor_lag_slows_the_rotor_thrusts():
     x = level()
-    fast, slow = rates([], x), rates([(EFFECTS["motor-lag"], (0.033,))], x)
+    fast, slow = rates([], x), rates([part("motor-lag", 0.033)], x)
     np.testing.assert_allclose(slow[12:], 0.5 * fast[12:], rtol=1e-13)
 
 
@@ -145,11 +146,11 @@ def test_com_offset_moves_the_lever_of_every_rotor():
     moved = replace(VEHICLE, rotors=tuple(rotors))
     s = state(6)
     expected = dynamics.derivative(FLOAT, moved, [], s, COMMAND)
-    np.testing.assert_allclose(rates([(EFFECTS["com-offset"], (x, y))], s), expected, atol=1e-12)
+    np.testing.assert_allclose(rates([part("com-offset", x, y)], s), expected, atol=1e-12)
 
 
 def test_mocap_latency_adds_to_the_pose_path_only():
-    parts = [(EFFECTS["mocap-latency"], (0.012,))]
+    parts = [part("mocap-latency", 0.012)]
     assert slots.mocap_latency_s(FLOAT, parts) == 0.012
     np.testing.assert_array_equal(rates(parts, state(7)), rates([], state(7)))
 
@@ -157,12 +158,12 @@ def test_mocap_latency_adds_to_the_pose_path_only():
 def test_compose_feedforward_gain_and_mass_multiply_and_drag_adds():
     block = compose_feedforward(
         [
-            (EFFECTS["thrust-gain"], (0.9,)),
-            (EFFECTS["mass"], (1.25,)),
-            (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
-            (EFFECTS["wind"], (2.0, 0.0)),
-            (EFFECTS["motor-lag"], (0.01,)),
-            (EFFECTS["mocap-latency"], (0.015,)),
+            part("thrust-gain", 0.9),
+            part("mass", 1.25),
+            part("linear-drag", 0.4, 0.3, 0.2),
+            part("wind", 2.0, 0.0),
+            part("motor-lag", 0.01),
+            part("mocap-latency", 0.015),
         ]
     )
     assert block["gain"] == pytest.approx(0.72)
@@ -172,7 +173,7 @@ def test_compose_feedforward_gain_and_mass_multiply_and_drag_adds():
 
 
 def test_compose_feedforward_leaves_the_sag_to_the_voltage_on_board():
-    parts = [(EFFECTS["thrust-gain"], (1.1,)), (EFFECTS["battery-sag"], (2.0,))]
+    parts = [part("thrust-gain", 1.1), part("battery-sag", 2.0)]
     block = compose_feedforward(parts)
     assert (block["gain"], block["voltage_exponent"]) == (1.1, 2.0)
 

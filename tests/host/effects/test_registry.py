@@ -31,6 +31,18 @@ SHIPPED = {
     "torque-bias": ("x", "y", "z"),
     "translational-lift": ("k",),
 }
+FORMS = {
+    "battery-sag": ("load_share",),
+    "ground-effect": ("fade",),
+    "linear-drag": ("rotor_share", "height_m"),
+    "quadratic-drag": ("side", "top"),
+    "rotor-loss": ("rotor_share", "torque_ratio"),
+    "thrust-gain": ("rotor_share",),
+    "thrust-inflow": ("saturation", "damping"),
+    "torque-bias": ("thrust_share",),
+    "translational-lift": ("rotor_share", "saturation"),
+}
+"""Keys of the form of the effect, which follow the others."""
 
 WORKSPACE_EFFECT = """
 from trimtab.host.effects import Closing, Effect, Parameter
@@ -53,7 +65,9 @@ def write(workspace: Path, file: str, text: str) -> None:
 
 def test_load_effects_shipped_returns_all_effects_with_their_keys():
     effects = load_effects()
-    assert {name: effect.keys for name, effect in effects.items()} == SHIPPED
+    assert {name: effect.keys for name, effect in effects.items()} == {
+        name: (*keys, *FORMS.get(name, ())) for name, keys in SHIPPED.items()
+    }
     assert list(effects) == sorted(effects)
     assert all(len(effect.source_id) == 12 for effect in effects.values())
 

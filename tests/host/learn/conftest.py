@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 import pytest
 
-from trimtab.host.effects import load_effects
+from tests.parts import part
 from trimtab.host.models.drive import flight_constants
 from trimtab.host.models.phi import Phi
 from trimtab.host.models.reference import flat_outputs
@@ -16,7 +16,7 @@ from trimtab.host.models.states import States
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 
-DRAG = (load_effects()["linear-drag"], (0.45, 0.35, 0.25))
+DRAG = part("linear-drag", 0.45, 0.35, 0.25)
 SIGMA = np.repeat([3e-4, 8e-3, 2e-3, 1e-2], 3)
 
 

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trimtab.host.effects import load_effects
+from tests.parts import part
 from trimtab.host.learn.evaluate import predict, whole_flights
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
@@ -52,7 +52,7 @@ accelerometer_noise_m_s2 = 0.0
 accelerometer_bias_m_s2 = 0.0
 voltage_noise_v = 0.0
 """
-DRAG = (load_effects()["linear-drag"], (0.4, 0.4, 0.4))
+DRAG = part("linear-drag", 0.4, 0.4, 0.4)
 
 
 @pytest.fixture(scope="module")

@@ -8,6 +8,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.codegen.batch import Batch
@@ -28,7 +29,7 @@ from trimtab.host.vehicle import to_parameters
 from trimtab.protocol.blobs import NEUTRAL_BLOCK, FeedForward
 
 EFFECTS = load_effects()
-DRAG = (EFFECTS["linear-drag"], (0.4, 0.35, 0.2))
+DRAG = part("linear-drag", 0.4, 0.35, 0.2)
 
 
 def predict(phi, reference, parts=(), *, step_s=0.01, every=1, feedforward=None, network=None, **constants):
@@ -59,8 +60,8 @@ def rmse(a, b):
     [
         (),
         (DRAG,),
-        ((EFFECTS["thrust-gain"], (0.9,)), (EFFECTS["com-offset"], (0.004, -0.003))),
-        ((EFFECTS["motor-lag"], (0.02,)), (EFFECTS["quadratic-drag"], (0.05,))),
+        (part("thrust-gain", 0.9), part("com-offset", 0.004, -0.003)),
+        (part("motor-lag", 0.02), part("quadratic-drag", 0.05)),
     ],
     ids=lambda parts: "+".join(effect.name for effect, _ in parts) or "nominal",
 )
@@ -84,7 +85,7 @@ def observing(vehicle, bandwidth, **fields):
     [
         (),
         (DRAG,),
-        ((EFFECTS["thrust-gain"], (0.9,)), (EFFECTS["motor-lag"], (0.02,))),
+        (part("thrust-gain", 0.9), part("motor-lag", 0.02)),
     ],
     ids=lambda parts: "+".join(effect.name for effect, _ in parts) or "nominal",
 )
@@ -121,7 +122,7 @@ def test_phi_with_observer_has_its_states_at_the_end_and_without_is_unchanged(ve
 
 def test_phi_mocap_latency_equals_the_sampled_loop_with_late_poses(vehicle, make_reference, fly_sampled):
     reference = make_reference()
-    late = (EFFECTS["mocap-latency"], (0.02,))
+    late = part("mocap-latency", 0.02)
     flown = fly_sampled(reference, latency_s=0.02)
     phi = Phi(vehicle=vehicle, effects=(late[0],))
     predicted = predict(phi, reference, (late,), mocap_age_s=0.012, mocap_interval_s=0.01)
@@ -134,7 +135,7 @@ def test_phi_mocap_latency_equals_the_sampled_loop_with_late_poses(vehicle, make
 def test_phi_actuation_delay_equals_the_sampled_loop(vehicle, make_reference, fly_sampled, delay_s, within):
     """Body rates in a quick flight, rad/s: with the tick's hold as a lag they would be off twice as far."""
     reference = make_reference(size=2.0)
-    late = (EFFECTS["actuation-delay"], (delay_s,))
+    late = part("actuation-delay", delay_s)
     flown = fly_sampled(reference, delay_ticks=round(1000 * delay_s))
     phi = Phi(vehicle=vehicle, effects=(late[0],))
     predicted = predict(phi, reference, (late,), mocap_age_s=0.012, mocap_interval_s=0.01)
@@ -144,7 +145,7 @@ def test_phi_actuation_delay_equals_the_sampled_loop(vehicle, make_reference, fl
 
 def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
     reference = make_reference()
-    late = (EFFECTS["mocap-latency"], (0.02,))
+    late = part("mocap-latency", 0.02)
     phi = Phi(vehicle=vehicle, effects=(late[0],))
     block = list(NEUTRAL_BLOCK)
     block[law_feedforward.PREDICTION_TIME] = 0.02

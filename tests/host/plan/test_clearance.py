@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
+from tests.parts import part
 from trimtab.host.base.errors import UsageError
 from trimtab.host.codegen import NUMPY
-from trimtab.host.effects import load_effects
 from trimtab.host.plan import PlanRefused, ResidualModel, plan, write_plan
 from trimtab.host.plan.clearance import ALLOWANCE_M, predicted_error_max_m, predicted_error_ned
 from trimtab.host.plan.files import read_course
@@ -34,7 +34,7 @@ SLALOM = Route(
 )
 
 
-DRAG = ResidualModel(parts=((load_effects()["linear-drag"], (0.5, 0.6, 0.2)),))
+DRAG = ResidualModel(parts=(part("linear-drag", 0.5, 0.6, 0.2),))
 
 
 @pytest.mark.parametrize(

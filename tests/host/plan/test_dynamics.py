@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.host.effects import load_effects
 from trimtab.host.models.network import Layout, Network
 from trimtab.host.plan.dynamics import Dynamics, Weights
@@ -27,10 +28,10 @@ def test_steady_state_does_not_accelerate(augmented: bool, velocity: tuple[float
     layout = Layout(hidden=(6,))
     network = Network(layout=layout, xi=0.2 * np.random.default_rng(0).standard_normal(layout.size))
     parts = (
-        (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)),
-        (EFFECTS["wind"], (2.0, -1.0)),
-        (EFFECTS["thrust-gain"], (0.93,)),
-        (EFFECTS["com-offset"], (0.003, -0.002)),
+        part("linear-drag", 0.4, 0.3, 0.2),
+        part("wind", 2.0, -1.0),
+        part("thrust-gain", 0.93),
+        part("com-offset", 0.003, -0.002),
     )
     dynamics = Dynamics(
         vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network), augmented=augmented
@@ -52,7 +53,7 @@ def test_steady_state_does_not_accelerate(augmented: bool, velocity: tuple[float
 def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_change(name: str) -> None:
     effect = EFFECTS[name]
     theta = tuple(parameter.neutral + parameter.typical for parameter in effect.parameters)
-    drag = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2))
+    drag = part("linear-drag", 0.4, 0.3, 0.2)
     beside = (drag,) if effect.requires_any else ()
     x, u = ca.SX.sym("x", 16), ca.SX.sym("u", 4)
     rng = np.random.default_rng(2)
@@ -77,7 +78,7 @@ def test_planner_sentence_of_an_effect_says_nothing_exactly_where_plans_do_not_c
 
 
 def test_hover_with_a_model_that_cannot_rest_raises() -> None:
-    parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
+    parts = (part("linear-drag", 3.0, 3.0, 3.0), part("wind", 1e3, 1e3))
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts), augmented=True)
     with pytest.raises(ValueError, match="no state of rest"):
         dynamics.steady(0.0)
@@ -107,7 +108,7 @@ def test_weights_that_are_not_positive_raise() -> None:
 def test_residual_at_rest_is_left_out_of_the_cost() -> None:
     layout = Layout(hidden=(6,), frame="body")
     network = Network(layout=layout, xi=np.random.default_rng(0).standard_normal(layout.size))
-    parts = ((EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["wind"], (2.0, -1.0)))
+    parts = (part("linear-drag", 0.4, 0.3, 0.2), part("wind", 2.0, -1.0))
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts, network=network))
     rest = dynamics.model.at_rest(VEHICLE, 0.7)
     x = ca.SX.sym("x", 16)

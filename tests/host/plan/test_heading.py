@@ -9,10 +9,10 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.host.base.errors import UsageError
-from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THETA
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan import Plan, ResidualModel, plan
@@ -27,10 +27,9 @@ from trimtab.host.shooting.stage import build_stage
 from trimtab.host.vehicle import load_vehicle, to_parameters
 from trimtab.protocol.blobs import YawNode
 
-EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
-SLENDER = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.15, 0.1)),))
-ROUND = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.5, 0.1)),))
+SLENDER = ResidualModel(parts=(part("linear-drag", 0.5, 0.15, 0.1),))
+ROUND = ResidualModel(parts=(part("linear-drag", 0.5, 0.5, 0.1),))
 PRETZEL = load_route("pretzel")
 START_DEG = 30.0
 RATE = 1.2
@@ -117,7 +116,7 @@ def test_min_snap_keeps_the_heading_it_starts_with() -> None:
     [
         (ResidualModel(network=_network("world")), "its network is in the world's frame; learn one"),
         (
-            ResidualModel(parts=(*SLENDER.parts, (EFFECTS["wind"], (1.0, 0.5)))),
+            ResidualModel(parts=(*SLENDER.parts, part("wind", 1.0, 0.5))),
             "linear-drag with wind is fixed to the world; give the heading",
         ),
     ],
@@ -132,7 +131,7 @@ def test_free_heading_needs_a_model_that_turns_along(model: ResidualModel, match
 
 @pytest.mark.usefixtures("virtual_machine")
 def test_free_heading_takes_a_network_in_the_bodys_frame_and_wind_within_tolerance() -> None:
-    parts = (*SLENDER.parts, (EFFECTS["wind"], (0.02, 0.0)))
+    parts = (*SLENDER.parts, part("wind", 0.02, 0.0))
     model = ResidualModel(parts=parts, adjusted=frozenset({"wind"}), network=_network("body"))
     made = plan(FREE, VEHICLE, kind="min-residual", model=model)
     assert made.residual_rms_m_s2

@@ -9,9 +9,9 @@ from typing import Any
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.base.errors import UsageError
-from trimtab.host.effects import load_effects
 from trimtab.host.plan import PlanRefused, PlanUnsolved, ResidualModel, Settings, Weights, plan
 from trimtab.host.plan.flown import Flown
 from trimtab.host.plan.pareto import COLUMNS, Point, pareto, tabulate
@@ -21,7 +21,7 @@ from trimtab.host.shooting.problem import SolveStatus
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
-DRAG = ResidualModel(parts=((load_effects()["linear-drag"], (0.5, 0.4, 0.1)),))
+DRAG = ResidualModel(parts=(part("linear-drag", 0.5, 0.4, 0.1),))
 ROUTE = Route(
     name="short",
     waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from tests.narrowing import not_none
+from tests.parts import part
 from trimtab.firmware_model.law.checks import check_reference
 from trimtab.firmware_model.law.limits import from_parameters
 from trimtab.host.base.errors import UsageError
-from trimtab.host.effects import load_effects
 from trimtab.host.models.model import Model
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
@@ -27,9 +27,8 @@ from trimtab.host.route.shapes import Cylinder
 from trimtab.host.vehicle import ConfigurationError, load_vehicle, to_parameters
 from trimtab.protocol.blobs import BLOB_BYTES_MAX, Reference, YawNode
 
-EFFECTS = load_effects()
 VEHICLE = load_vehicle("research")
-DRAG = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),))
+DRAG = ResidualModel(parts=(part("linear-drag", 0.5, 0.4, 0.1),))
 ROUTE = Route(
     name="short",
     waypoints_m=((-1.6, -0.9, -1.2), (1.7, 1.2, -1.6), (0.0, 2.4, -2.0), (-2.0, 0.0, -1.4)),
@@ -125,7 +124,7 @@ def test_min_residual_predicts_less_residual_than_the_others() -> None:
 def test_min_residual_under_a_thrust_or_torque_effect_has_less_of_it(
     name: str, theta: tuple[float, ...], share: float
 ) -> None:
-    model = ResidualModel(parts=((EFFECTS[name], theta),))
+    model = ResidualModel(parts=(part(name, *theta),))
     made = {kind: plan(ROUTE, VEHICLE, kind=kind, model=model) for kind in ("min-control", "min-residual")}
     _assert_flyable(made["min-residual"])
     rms = {kind: one.residual_rms_m_s2 or math.inf for kind, one in made.items()}
@@ -133,7 +132,7 @@ def test_min_residual_under_a_thrust_or_torque_effect_has_less_of_it(
 
 
 def test_constant_bias_leaves_the_plan_as_it_is() -> None:
-    bias = ((EFFECTS["torque-bias"], (2.0, 1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
+    bias = (part("torque-bias", 2.0, 1.0, 0.5), part("frame-tilt", 0.02, 0.01))
     made = plan(ROUTE, VEHICLE, kind="min-residual", model=ResidualModel(parts=(*DRAG.parts, *bias)))
     before = _planned("min-residual")
     assert made.residual_rms_m_s2 == pytest.approx(before.residual_rms_m_s2, rel=1e-6)
@@ -181,7 +180,7 @@ def test_plan_is_tracked_better_under_drag_than_one_of_a_simpler_kind(
 
 
 def test_min_error_refuses_a_model_without_acceleration() -> None:
-    torque = ResidualModel(parts=((EFFECTS["gyroscopic"], (40.0,)),))
+    torque = ResidualModel(parts=(part("gyroscopic", 40.0),))
     assert plan(ROUTE, VEHICLE, kind="min-residual", model=torque).kind == "min-residual"
     with pytest.raises(UsageError, match="no tracking error"):
         plan(ROUTE, VEHICLE, kind="min-error", model=torque)
@@ -456,7 +455,7 @@ def test_plan_larger_than_the_vehicles_memory_is_refused() -> None:
 
 
 def test_augmented_plan_with_a_model_that_cannot_hover_is_a_usage_error() -> None:
-    parts = ((EFFECTS["linear-drag"], (3.0, 3.0, 3.0)), (EFFECTS["wind"], (1e3, 1e3)))
+    parts = (part("linear-drag", 3.0, 3.0, 3.0), part("wind", 1e3, 1e3))
     with pytest.raises(UsageError, match="no state of rest"):
         plan(ROUTE, VEHICLE, kind="min-control*", model=ResidualModel(parts=parts))
 
@@ -482,7 +481,7 @@ def test_plan_with_a_network_stays_where_it_was_trained() -> None:
 def test_measured_residual_is_that_of_the_drag() -> None:
     made = _planned("min-snap")
     table = from_reference(made.reference)
-    isotropic = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.5, 0.5)),))
+    isotropic = ResidualModel(parts=(part("linear-drag", 0.5, 0.5, 0.5),))
     figures = measure(VEHICLE, isotropic, table, made.reference.yaw_nodes())
     at = np.linspace(0.0, float(table.times_us[-1]), 4001)
     speed = np.linalg.norm(evaluate(table, at)[1], axis=0)
@@ -507,7 +506,7 @@ def test_many_short_legs_are_planned(require) -> None:
 
 def test_free_total_time_is_shorter_where_a_second_costs_more() -> None:
     route = load_route("pretzel")
-    drag = ResidualModel(parts=((EFFECTS["linear-drag"], (0.5, 0.5, 0.1)),))
+    drag = ResidualModel(parts=(part("linear-drag", 0.5, 0.5, 0.1),))
     made = [
         plan(route, VEHICLE, kind="min-residual", model=drag, time_box=(0.7, 1.4), time_weight=weight)
         for weight in (0.3, 3.0)
@@ -561,6 +560,6 @@ def test_plan_with_a_network_is_the_same_in_c_and_in_the_virtual_machine(
 
 @pytest.mark.usefixtures("virtual_machine")
 def test_star_with_an_effect_of_the_floor_starts_at_rest_where_the_route_does() -> None:
-    floor = ResidualModel(parts=((EFFECTS["ground-effect"], (0.03,)),))
+    floor = ResidualModel(parts=(part("ground-effect", 0.03),))
     made = plan(ROUTE, VEHICLE, kind="min-residual*", model=floor)
     _assert_flyable(made)

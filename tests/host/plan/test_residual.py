@@ -6,6 +6,7 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import Part
@@ -25,8 +26,8 @@ def _evaluate(expression: ca.SX, *pairs: tuple[ca.SX, np.ndarray]) -> np.ndarray
 
 
 def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
-    assert not ResidualModel(parts=((EFFECTS["motor-lag"], (0.01,)),)).has_residual(VEHICLE)
-    assert ResidualModel(parts=((EFFECTS["quadratic-drag"], (0.02,)),)).has_residual(VEHICLE)
+    assert not ResidualModel(parts=(part("motor-lag", 0.01),)).has_residual(VEHICLE)
+    assert ResidualModel(parts=(part("quadratic-drag", 0.02),)).has_residual(VEHICLE)
 
 
 @pytest.mark.parametrize(
@@ -48,7 +49,7 @@ def test_residual_of_a_model_without_a_force_is_nothing_to_minimise() -> None:
 def test_residual_that_is_the_same_in_every_state_is_nothing_to_minimise(
     name: str, theta: tuple[float, ...], varies: bool
 ) -> None:
-    parts = ((EFFECTS[name], theta),)
+    parts = (part(name, *theta),)
     assert ResidualModel(parts=parts).has_residual(VEHICLE) is varies
     assert not ResidualModel(parts=parts, adjusted=frozenset({name})).has_residual(VEHICLE)
 
@@ -98,10 +99,10 @@ def _acceleration(x: np.ndarray, parts: tuple[Part, ...]) -> np.ndarray:
 
 def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_arm_and_mass() -> None:
     parts = (
-        (EFFECTS["mass"], (1.1,)),
-        (EFFECTS["inertia"], (1.2, 0.9, 1.1)),
-        (EFFECTS["rotor-loss"], (0.1, 0.0, 0.0, 0.0)),
-        (EFFECTS["com-offset"], (0.004, -0.002)),
+        part("mass", 1.1),
+        part("inertia", 1.2, 0.9, 1.1),
+        part("rotor-loss", 0.1, 0.0, 0.0, 0.0),
+        part("com-offset", 0.004, -0.002),
     )
     x = _flight(5)
     change = _acceleration(x, parts) - _acceleration(x, ())
@@ -112,7 +113,7 @@ def test_residual_is_the_augmented_less_the_nominal_acceleration_with_torque_by_
 
 
 def test_residual_beside_a_drag_is_the_drags() -> None:
-    drag, offset = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["com-offset"], (0.004, -0.002))
+    drag, offset = part("linear-drag", 0.4, 0.3, 0.2), part("com-offset", 0.004, -0.002)
     x = _flight(5)
     alone = ResidualModel(parts=(drag,)).rows(NUMPY, VEHICLE, list(x))
     np.testing.assert_array_equal(ResidualModel(parts=(drag, offset)).rows(NUMPY, VEHICLE, list(x)), alone)
@@ -121,8 +122,8 @@ def test_residual_beside_a_drag_is_the_drags() -> None:
 
 
 def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None:
-    drag, gain = (EFFECTS["linear-drag"], (0.4, 0.3, 0.2)), (EFFECTS["thrust-gain"], (1.005,))
-    offset = (EFFECTS["com-offset"], (0.004, -0.002))
+    drag, gain = part("linear-drag", 0.4, 0.3, 0.2), part("thrust-gain", 1.005)
+    offset = part("com-offset", 0.004, -0.002)
     x = _flight(5)
 
     def rows(*parts: Part) -> np.ndarray:
@@ -136,8 +137,8 @@ def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None
 
 
 def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
-    offset = ((EFFECTS["com-offset"], (0.004, -0.002)),)
-    bias = ((EFFECTS["torque-bias"], (2.0, -1.0, 0.5)), (EFFECTS["frame-tilt"], (0.02, 0.01)))
+    offset = (part("com-offset", 0.004, -0.002),)
+    bias = (part("torque-bias", 2.0, -1.0, 0.5), part("frame-tilt", 0.02, 0.01))
     x, found, figures = _flight(1)[:, 0], [], []
     for parts in (offset, offset + bias):
         dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts))
@@ -156,7 +157,7 @@ def test_constant_bias_leaves_the_cost_and_the_figures_unchanged() -> None:
 def test_figures_count_what_the_cost_counts_without_wind_or_a_network(
     name: str, theta: tuple[float, ...]
 ) -> None:
-    parts = ((EFFECTS[name], theta),)
+    parts = (part(name, *theta),)
     dynamics = Dynamics(vehicle=VEHICLE, model=ResidualModel(parts=parts))
     x = _flight(1)[:, 0]
     symbol, p = (

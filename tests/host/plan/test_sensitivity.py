@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from tests.parts import part
 from trimtab.firmware_model.law.rotations import euler_to_matrix, matrix_to_euler
 from trimtab.host.codegen import NUMPY
 from trimtab.host.effects import load_effects
@@ -31,13 +32,13 @@ STEP = 1e-5
 
 
 def drag(dx: float, dy: float, dz: float) -> ResidualModel:
-    return ResidualModel(parts=((EFFECTS["linear-drag"], (dx, dy, dz)),))
+    return ResidualModel(parts=(part("linear-drag", dx, dy, dz),))
 
 
 def network(frame: str) -> ResidualModel:
     layout = Layout(hidden=(8, 8), frame="body" if frame == "body" else "world")
     xi = 0.7 * np.random.default_rng(4).standard_normal(layout.size)
-    lift = (EFFECTS["quadratic-drag"], (0.05,))
+    lift = part("quadratic-drag", 0.05)
     return ResidualModel(parts=(lift,), network=Network(layout=layout, xi=xi))
 
 
@@ -91,7 +92,7 @@ def test_equal_drag_on_all_axes_does_not_depend_on_attitude() -> None:
 
 def test_sensitivity_without_a_predicted_residual_is_none() -> None:
     assert sensitivity(VEHICLE, ResidualModel(), TABLE, YAWS) is None
-    bias = ResidualModel(parts=((EFFECTS["torque-bias"], (2.0, 1.0, -0.5)),))
+    bias = ResidualModel(parts=(part("torque-bias", 2.0, 1.0, -0.5),))
     assert sensitivity(VEHICLE, bias, TABLE, YAWS) is None
 
 

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 import scipy.signal
 
-from trimtab.host.effects import load_effects
+from tests.parts import part
 from trimtab.host.plan import ResidualModel
 from trimtab.host.plan.dynamics import INPUTS, STATES, Dynamics
 from trimtab.host.plan.planner import make_job
@@ -17,7 +17,7 @@ from trimtab.host.route import random_route
 from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
-DRAG = ResidualModel(parts=((load_effects()["linear-drag"], (0.5, 0.4, 0.1)),))
+DRAG = ResidualModel(parts=(part("linear-drag", 0.5, 0.4, 0.1),))
 
 
 @pytest.mark.parametrize("axis", [0, 1, 2])

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from trimtab.host.effects import load_effects
+from tests.parts import part
 from trimtab.host.models.region import Region
 from trimtab.host.plan import Plan, ResidualModel, plan
 from trimtab.host.plan.flown import Flown
@@ -30,7 +30,7 @@ from trimtab.host.vehicle import load_vehicle
 
 VEHICLE = load_vehicle("research")
 MODEL = ResidualModel(
-    parts=((load_effects()["linear-drag"], (0.5, 0.4, 0.1)),),
+    parts=(part("linear-drag", 0.5, 0.4, 0.1),),
     region=Region(speed_max_m_s=1.0, tilt_max_deg=90.0, thrust_min_n=0.0, thrust_max_n=100.0),
 )
 ROUTE = Route(

@@ -10,8 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.host.codegen import CASADI
-from trimtab.host.effects import load_effects
 from trimtab.host.models.airframe import THRUST, Part
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.plan.dynamics import INPUTS, PATH_ROWS, STATES, Dynamics, Minimised, Weights
@@ -24,31 +24,30 @@ from trimtab.host.shooting.kernel import kernel_key
 from trimtab.host.shooting.stage import NETWORK_INPUTS, StageModel, build_stage
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
-_EFFECTS = load_effects()
 _VEHICLE = load_vehicle("research")
 _FRAMES = (None, "world", "body")
 _KNOWN = frozenset({"thrust-gain"})
 _DRAG = (
-    (_EFFECTS["linear-drag"], (0.5, 0.4, 0.1)),
-    (_EFFECTS["wind"], (1.0, -0.5)),
-    (_EFFECTS["thrust-gain"], (0.95,)),
+    part("linear-drag", 0.5, 0.4, 0.1),
+    part("wind", 1.0, -0.5),
+    part("thrust-gain", 0.95),
 )
 _LOADS = {
-    "mass": ((_EFFECTS["mass"], (1.1,)), (_EFFECTS["frame-tilt"], (0.02, -0.01))),
+    "mass": (part("mass", 1.1), part("frame-tilt", 0.02, -0.01)),
     "thrust": (
-        (_EFFECTS["ground-effect"], (0.02,)),
-        (_EFFECTS["rotor-loss"], (0.1, 0.0, -0.05, 0.0)),
+        part("ground-effect", 0.02),
+        part("rotor-loss", 0.1, 0.0, -0.05, 0.0),
     ),
     "torque": (
-        (_EFFECTS["com-offset"], (0.004, -0.006)),
-        (_EFFECTS["gyroscopic"], (6.0,)),
-        (_EFFECTS["inertia"], (1.2, 0.9, 1.1)),
-        (_EFFECTS["torque-bias"], (2.0, 1.0, -0.5)),
+        part("com-offset", 0.004, -0.006),
+        part("gyroscopic", 6.0),
+        part("inertia", 1.2, 0.9, 1.1),
+        part("torque-bias", 2.0, 1.0, -0.5),
     ),
     "force and torque": (
         *_DRAG[:2],
-        (_EFFECTS["slung-payload"], (0.1, 0.4, 0.05)),
-        (_EFFECTS["thrust-inflow"], (0.5,)),
+        part("slung-payload", 0.1, 0.4, 0.05),
+        part("thrust-inflow", 0.5),
     ),
 }
 
@@ -228,8 +227,8 @@ def _check_derivatives(dynamics: Dynamics, model: StageModel, engine: str) -> No
     assert (made.kernel is not None) == (engine == "c")
     found = _evaluated(made.over(h0_s, p), rows, (x.T, u.T, h), weights)
     for k in range(count):
-        expected = oracle(x[:, k], u[:, k], h[k], h0_s[k], p[:, k], 1.3, *(part[k] for part in weights))
-        for value, wanted in zip(found, (np.array(part) for part in expected), strict=True):
+        expected = oracle(x[:, k], u[:, k], h[k], h0_s[k], p[:, k], 1.3, *(each[k] for each in weights))
+        for value, wanted in zip(found, (np.array(each) for each in expected), strict=True):
             scale = max(1.0, np.abs(wanted).max())
             np.testing.assert_allclose(value[k], wanted, atol=1e-11 * scale)
 

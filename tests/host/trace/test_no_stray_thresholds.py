@@ -31,6 +31,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "PATH_S": "grid step of measured paths",
     },
     "evidence.py": {
+        "_FIXED": "prior width of a form that cannot act, small beside one",
         "FORCE_LIMITS": "range of the search for the process noise, log variance",
         "TORQUE_LIMITS": "range of the search for the process noise, log variance",
     },

@@ -7,6 +7,7 @@ import pytest
 
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.parameters import UNKNOWN, space
 from trimtab.host.vehicle import load_vehicle
 
@@ -84,7 +85,54 @@ def test_space_admits_one_rotor_lost_of_four() -> None:
     assert parameter_space.admissible(["rotor-loss.loss_1", "com-offset"])
     assert not parameter_space.admissible(["rotor-loss.loss_1", "rotor-loss.loss_3"])
     assert parameter_space.effect("rotor-loss.loss_3").name == "rotor-loss"
-    assert len(parameter_space.owners["rotor-loss"]) == 4
+    losses = [parameter_space.groups[f"rotor-loss.loss_{i}"] for i in (1, 2, 3, 4)]
+    assert sorted(sum(losses, ())) == list(parameter_space.owners["rotor-loss"][:4])
+
+
+def test_space_keeps_the_forms_of_an_effect_apart_from_its_values() -> None:
+    parameter_space = space(VEHICLE, EFFECTS)
+    keys = {
+        name: [parameter_space.columns[i].key for i in columns]
+        for name, columns in parameter_space.forms.items()
+    }
+    assert keys["linear-drag"] == ["rotor_share", "height_m"]
+    assert keys["rotor-loss.loss_1"] == keys["rotor-loss.loss_4"] == ["rotor_share", "torque_ratio"]
+    assert keys["mass"] == []
+    assert set(keys) == set(parameter_space.groups)
+    values = {i for columns in parameter_space.groups.values() for i in columns}
+    forms = {i for columns in parameter_space.forms.values() for i in columns}
+    assert forms == {i for i, column in enumerate(parameter_space.columns) if column.form}
+    assert values == set(range(len(parameter_space.columns))) - forms
+
+
+def test_prior_fixes_the_forms_of_effects_that_are_not_selected() -> None:
+    parameter_space = space(VEHICLE, EFFECTS)
+    forms = {name: list(columns) for name, columns in parameter_space.forms.items()}
+    selected = ["linear-drag", "rotor-loss.loss_2", "motor-lag"]
+    sigma = 1.0 / np.sqrt(parameter_space.prior.precision(selected))
+    released = set(forms["linear-drag"]) | set(forms["rotor-loss.loss_2"])
+    for i, column in enumerate(parameter_space.columns):
+        if i in released:
+            assert sigma[i] == pytest.approx(column.tolerance / column.scale)
+        elif column.form:
+            assert sigma[i] < 0.01
+    strengths = [i for name in selected for i in parameter_space.groups[name]]
+    assert (sigma[strengths] >= RULES.slab_sigma).all()
+    assert sigma[parameter_space.groups["rotor-loss.loss_1"]] < RULES.slab_sigma
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_forms_are_active_while_their_effect_is_beyond_its_tolerance(sign: float) -> None:
+    parameter_space = space(VEHICLE, EFFECTS)
+    theta_scaled = np.zeros(len(parameter_space.columns))
+    values = {i for columns in parameter_space.groups.values() for i in columns}
+    theta_scaled[list(parameter_space.forms["torque-bias"])] = 1.0
+    assert set(parameter_space.active(theta_scaled)) == values
+    (index, *_) = parameter_space.groups["torque-bias"]
+    column = parameter_space.columns[index]
+    for share, active in ((0.999, values), (1.001, values | set(parameter_space.forms["torque-bias"]))):
+        theta_scaled[index] = sign * share * column.tolerance / column.scale
+        assert set(parameter_space.active(theta_scaled)) == active
 
 
 def test_space_frees_what_a_log_declares_unknown() -> None:
