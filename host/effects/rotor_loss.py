@@ -15,9 +15,10 @@ def _factors(ops, theta, ctx):
 
 
 def _torque(ops, theta, ctx):
-    # The nominal model lowers the drag torque by the same share as the thrust.
+    # The nominal model lowers the drag torque by the same share as the thrust, of which ctx has the rest.
     yaw = sum(
-        spin * loss * thrust for spin, loss, thrust in zip(ctx.spin_signs, theta, ctx.thrust, strict=False)
+        spin * loss / (1.0 - loss) * thrust
+        for spin, loss, thrust in zip(ctx.spin_signs, theta, ctx.thrust, strict=False)
     )
     return (0.0, 0.0, (1.0 - theta[5]) * ctx.torque_per_thrust_m * yaw)
 
