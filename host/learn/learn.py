@@ -163,8 +163,7 @@ def _candidates(
     if not isinstance(settings, CondensedSettings):
         trained = train(phi, theta, *segments, settings, rng, weight=weight, on_epoch=on_epoch)
         return [nothing, replace(nothing, network=trained.network)], trained
-    learnable = [not parameter.form for effect in phi.effects for parameter in effect.parameters]
-    free = [i for i in range(len(nothing.theta), len(theta)) if learnable[i]]
+    free = [i for i in phi.learnable if i >= len(nothing.theta)]
     effects_alone = [replace(settings, layout=None)] if forms and settings.layout is not None else []
     runs = [
         train_condensed(

@@ -64,11 +64,11 @@ def train_condensed(  # noqa: PLR0913 (the data of one problem)
 
     segments: to learn from, and for validation. theta: parameters to begin at; the measured states have the
     latency that it gives. weight: diagonal L of the loss. free: indices of theta that are learned; default
-    all. jobs: threads; the result does not depend on them. on_iteration: called with the number of iterations
-    of all passes so far, and the validation loss.
+    all but the forms of effects. jobs: threads; the result does not depend on them. on_iteration: called with
+    the number of iterations of all passes so far, and the validation loss.
     """
     train_on, validation = segments
-    chosen = np.arange(len(theta)) if free is None else np.array(free, dtype=int)
+    chosen = np.array(phi.learnable if free is None else free, dtype=int)
     scale = effect_scales(phi)[chosen]
     basis = Basis(layout=settings.layout, parameters=len(chosen), delay=settings.delay)
     start = np.zeros(basis.size)

@@ -148,6 +148,12 @@ class Phi:
         """The theta of the nominal vehicle."""
         return np.array([value for effect in self.effects for value in effect.neutral], dtype=float)
 
+    @property
+    def learnable(self) -> tuple[int, ...]:
+        """Indices of theta without those of the forms of effects (`Parameter.form`)."""
+        parameters = (parameter for effect in self.effects for parameter in effect.parameters)
+        return tuple(i for i, parameter in enumerate(parameters) if not parameter.form)
+
     def theta(self, parts: Sequence[Part]) -> Annotated[np.ndarray, "parameters"]:
         """Return theta for these values, neutral elsewhere. Raises ValueError for a missing effect."""
         values = {effect.name: effect.neutral for effect in self.effects}

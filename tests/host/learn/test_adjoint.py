@@ -24,13 +24,13 @@ EFFECTS = {name: load_effects()[name] for name in ("linear-drag", "motor-lag")}
 PHI = Phi(vehicle=load_vehicle("research"), estimator=False)
 WITH_EFFECTS = Phi(vehicle=load_vehicle("research"), effects=tuple(EFFECTS.values()), estimator=False)
 THETA = np.zeros(0)
-DRAG = np.array([0.3, 0.25, 0.1, 0.004])
+DRAG = np.array([0.3, 0.25, 0.1, 0.2, 0.01, 0.004])
 LATE = Phi(
     vehicle=load_vehicle("research"),
     effects=(load_effects()["linear-drag"], load_effects()["actuation-delay"]),
     estimator=False,
 )
-LATE_THETA = np.array([0.3, 0.25, 0.1, 0.004])
+LATE_THETA = DRAG
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS, BATCH = 20, 4
 
@@ -130,7 +130,7 @@ def test_gradient_and_roll_outs_are_the_same_bits_for_any_number_of_lanes(make_s
 
 def test_gradient_by_effects_equals_finite_differences(make_states):
     segments = cut([make_states(1)], WITH_EFFECTS, steps=STEPS).take([2, 5])
-    xi, along, h = weights(LAYOUT), np.array([0.1, -0.2, 0.3, 0.002]), 1e-4
+    xi, along, h = weights(LAYOUT), np.array([0.1, -0.2, 0.3, 0.05, 0.02, 0.002]), 1e-4
     found = make("vm", WITH_EFFECTS, LAYOUT, DRAG).gradient(segments, segments.x0, xi).theta @ along
     ends = []
     for shift in (h, -h):

@@ -32,6 +32,8 @@ LATE = Phi(vehicle=VEHICLE, effects=(DRAG, load_effects()["actuation-delay"]), e
 SMALL = Layout(hidden=(1,))
 WEIGHT = 1.0 / np.square(LOSS_SIGMA)
 STEPS = 20
+NO_FORM = (0.0, 0.0)
+"""The form of the drag, which is not learned."""
 KNOTS = knots(STEPS + 1)
 
 
@@ -116,7 +118,7 @@ def test_first_weights_see_inputs_in_typical_sizes(frame):
 
 @pytest.mark.parametrize(
     ("phi", "fixed"),
-    [pytest.param(PHI, (), id="whole-steps"), pytest.param(LATE, (0.004,), id="split-steps")],
+    [pytest.param(PHI, NO_FORM, id="whole-steps"), pytest.param(LATE, (*NO_FORM, 0.004), id="split-steps")],
 )
 def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(make_states, phi, fixed):
     few = cut([make_states(seed) for seed in (1, 2)], phi, steps=STEPS).take([0, 3])
@@ -128,7 +130,7 @@ def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(make_states
     # Near it, and better than the slope alone says.
     push, more = 0.02 * rng.standard_normal(at.shape), np.array([0.02, -0.01, 0.03, *np.zeros(len(fixed))])
     u[:, : push[0].size] += push.reshape(2, -1)
-    u[:, push[0].size : -1] += more[:3] / effect_scales(PHI)
+    u[:, push[0].size : -1] += more[:3] / effect_scales(PHI)[:3]
     true = rolled(few, at + push, theta + more, phi)
     assert condensed.loss(u)[0] == pytest.approx(true, rel=2e-3)
     assert abs(true / condensed.loss(condensed.at)[0] - 1.0) > 0.02
@@ -136,7 +138,7 @@ def test_condensed_loss_is_that_of_roll_outs_where_the_start_is_held(make_states
 
 def test_condensed_loss_of_free_starts_is_less_and_its_slope_is_its_difference(segments):
     few = segments.take([0, 3])
-    still, theta = np.zeros((2, len(KNOTS), 3)), np.zeros(3)
+    still, theta = np.zeros((2, len(KNOTS), 3)), PHI.theta_neutral
     held, free = (condensed_about(few, still, theta, held=held) for held in (1e-6, 1.0))
     assert free.loss(free.at)[0] < held.loss(held.at)[0]
     rng = np.random.default_rng(1)
@@ -149,7 +151,7 @@ def test_both_engines_condense_alike(segments, require):
     require("compiler")
     compiler = find_compiler()
     assert compiler is not None
-    few, theta = segments.take([1]), np.array([0.1, 0.2, 0.05])
+    few, theta = segments.take([1]), np.array([0.1, 0.2, 0.05, *NO_FORM])
     engines = (
         Rollouts(PHI, SMALL, theta, batch=1, step_s=0.02, weight=WEIGHT),
         LaneRollouts(PHI, SMALL, theta, step_s=0.02, weight=WEIGHT, compiler=compiler),
@@ -179,7 +181,7 @@ def test_slope_of_what_is_learned_is_its_difference(segments, frame):
     headings = rng.uniform(-3.0, 3.0, (2, 3))
     states = few.measured[:, KNOTS, 3:9]
     examples = Examples(
-        condensed=condensed_about(few, np.zeros((3, len(KNOTS), 3)), np.zeros(3)), states=states
+        condensed=condensed_about(few, np.zeros((3, len(KNOTS), 3)), PHI.theta_neutral), states=states
     )
     from trimtab.host.learn.fit import _Problem
 
@@ -210,14 +212,14 @@ def learned(make_states, settings, phi=PHI, *, noise=1.0, turn=lambda s: s):
 
 def test_effects_alone_are_found_in_noise(make_states):
     trained = learned(make_states, CondensedSettings(layout=None))
-    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25], rtol=0.12)
+    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25, *NO_FORM], rtol=0.12)
     assert trained.network is None
     assert trained.after < 0.2 * trained.before
 
 
 def test_what_is_not_free_stays(make_states):
     segments = cut([make_states(seed) for seed in (1, 2, 3)], PHI, steps=25)
-    theta = np.array([0.45, 0.0, 0.25])
+    theta = np.array([0.45, 0.0, 0.25, *NO_FORM])
     trained = train_condensed(
         PHI,
         theta,
@@ -255,7 +257,7 @@ def test_poses_that_are_late_are_found_so(make_states):
     trained = learned(make_states, settings, noise=0.0, turn=late)
     assert trained.delay_s == pytest.approx(0.008, abs=0.0015)
     assert DELAY_S == 0.01
-    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25], rtol=0.1)
+    np.testing.assert_allclose(trained.theta, [0.45, 0.35, 0.25, *NO_FORM], rtol=0.1)
 
 
 def test_fit_ends_early_where_validation_does_not_improve(segments):

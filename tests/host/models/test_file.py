@@ -8,6 +8,7 @@ from typing import get_args
 import numpy as np
 import pytest
 
+from tests.parts import part
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
 from trimtab.host.models.file import ModelFileError, read_model, write_model
@@ -109,7 +110,7 @@ def test_model_parts_use_selects_and_fills_with_neutral():
     sparse = dataclasses.replace(model(), effects={"linear-drag": {"dx": 0.41}}, covariance=None)
     names = {use: [effect.name for effect, _ in sparse.parts(effects, use)] for use in ("both", "none")}
     assert names == {"both": ["linear-drag", "mass"], "none": []}
-    assert sparse.parts(effects, "effects")[0][1] == (0.41, 0.0, 0.0)
+    assert sparse.parts(effects, "effects")[0][1] == part("linear-drag", 0.41)[1]
     assert sparse.parts(effects, "adjustments")[0][1] == (1.002,)
 
 

@@ -158,7 +158,7 @@ def test_phi_prediction_time_undoes_a_latency(vehicle, make_reference):
 def test_phi_feedforward_of_the_true_drag_brings_the_flight_back(vehicle, make_reference, fly_sampled):
     reference = make_reference()
     block = list(NEUTRAL_BLOCK)
-    block[law_feedforward.LINEAR] = DRAG[1]
+    block[law_feedforward.LINEAR] = DRAG[1][:3]
     fed = FeedForward(vehicle_id=vehicle.id, model_id="0" * 12, block=tuple(block))
     phi = Phi(vehicle=vehicle, effects=(DRAG[0],))
     flown = fly_sampled(reference, (DRAG,), feedforward=block_of(fed))
@@ -293,7 +293,7 @@ def test_roll_out_lanes_are_independent_even_beside_one_that_diverges(vehicle, m
     drive = reference_drive(reference, half_steps(0.0, 100, 0.02))
     start = flat_outputs(reference, np.zeros(1))[:, 0]
     x0 = np.repeat(phi.hover(start[:3].tolist(), 0.0)[:, None], 3, axis=1)
-    theta = np.array([[0.4, -1e6, 0.1]] * 3)
+    theta = np.array([[0.4, -1e6, 0.1]] * 3 + [[0.0] * 3] * 2)
     together = roll_out(phi, x0=x0, drive=drive, flight=flight_constants(), theta=theta, step_s=0.02)
     alone = roll_out(
         phi, x0=x0[:, 2:], drive=drive, flight=flight_constants(), theta=theta[:, 2], step_s=0.02
@@ -307,7 +307,7 @@ def test_roll_out_several_flights_gather_their_own_drive(vehicle, make_reference
     phi = Phi(vehicle=vehicle, effects=(DRAG[0],), estimator=False)
     drives = [reference_drive(r, half_steps(0.0, 100, 0.02)) for r in references]
     x0 = np.repeat(phi.hover(references[0].nodes_ned()[0].state[:3], 0.0)[:, None], 4, axis=1)
-    theta = np.array([[0.0, 0.4, 0.0, 0.4]] * 3)
+    theta = np.array([[0.0, 0.4, 0.0, 0.4]] * 3 + [[0.0] * 4] * 2)
     lanes = roll_out(
         phi,
         x0=x0,
