@@ -207,6 +207,24 @@ def test_linearisation_depends_neither_on_threads_nor_on_stored_columns(
             np.testing.assert_array_equal(ours, theirs)
 
 
+@pytest.mark.parametrize("present", [(), ("linear-drag", "thrust-gain")], ids=["none", "two"])
+def test_segments_have_no_slopes_of_forms_whose_effect_is_absent(present: tuple[str, ...]) -> None:
+    rng = np.random.default_rng(4)
+    x0 = rng.normal(size=(2, 12)) * np.repeat([0.2, 2.0, 0.2, 0.2], 3)
+    data = make(1.1 * HOVER * (1.0 + 0.05 * rng.normal(size=(2, PRE + STEPS, 4))), x0)
+    data = replace(data, force_weight=np.zeros((2, STEPS)))  # hovering, it would be no zero force
+    theta_scaled, nuisances = np.zeros(len(SPACE.columns)), np.zeros((1, model.NUISANCES))
+    for name in present:
+        theta_scaled[list(SPACE.groups[name])] = 1.0
+    basis = linearise.basis(FORM, data, theta_scaled, nuisances)
+    lin, _ = linearise.linearise(FORM, data, theta_scaled, nuisances, basis)
+    sizes = np.einsum("sii->i", lin.own)[1:][: len(theta_scaled)]
+    forms = {i for columns in SPACE.forms.values() for i in columns}
+    assert set(np.flatnonzero(sizes)) & forms == {i for name in present for i in SPACE.forms[name]}
+    assert (np.abs(lin.cross).max((0, 1))[1:][[*forms]][sizes[[*forms]] == 0.0] == 0.0).all()
+    assert sizes[list(SPACE.groups["quadratic-drag"])] > 0.0
+
+
 def lane_of(data: Segments, **values: float) -> np.ndarray:
     """Return the predicted measurements (H, 12) of the first segment with these parameters "effect__key"."""
     theta_scaled = np.zeros(len(SPACE.columns))
