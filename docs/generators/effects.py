@@ -24,6 +24,8 @@ adds its own in `effects/`. World is NED, body is FRD, units are SI.
   their small deviations from these values.
 - **Discrepancy** is one standard deviation, in typical sizes, of what flights without the effect seem to show
   of it, because no model is exact. The first value is for segments of flights, the second for whole flights.
+- The **form** of an effect is how a real vehicle may deviate from its equation. Its parameters have a
+  [table of their own](#parameters-of-the-form).
 - An effect is **mistaken for** others if both explain a flight almost equally well. If the data cannot
   decide, `trace` lists them with their probabilities. If no flight can decide, a measurement may.
 - If two effects fit every flight **exactly alike**, `trace` names the quantity that flights do show, and how
@@ -44,21 +46,45 @@ use the same keys for the effects that they have.
 |---|---|---|---|---|---|---|---|---|
 """
 
+_FORMS_HEAD = """
+## Parameters of the form
+
+No equation is exact for a real vehicle. These parameters say how the vehicle may deviate from it, and by how
+much. While the effect is selected, they vary around neutral with the given standard deviation. Otherwise they
+are neutral. They change nothing without the effect. `trace` does not list them among the values of an effect,
+but the model file holds those of named effects. [How tracing works](../concepts/tracing.md#4-search) says why
+they are there.
+
+| effect | key | unit | neutral | standard deviation | range | meaning |
+|---|---|---|---|---|---|---|
+"""
+
 _LAW_NONE = "not compensable on board"
 
 
 def page(effects: Mapping[str, Effect]) -> str:
-    """Return the page as Markdown: terms, a table of parameters, and a section for each effect."""
+    """Return the page as Markdown: terms, tables of parameters, and a section for each effect."""
     rows = [
         f"| `{effect.name}` | `{p.key}` | {p.unit} | {p.neutral:g} | {p.typical:g} | {p.tolerance:g} "
         f"| {p.discrepancy:g}, {p.loop_discrepancy:g} | {p.lower:g} to {p.upper:g} | {p.description} |"
         for effect in effects.values()
         for p in effect.parameters
+        if not p.form
+    ]
+    forms = [
+        f"| `{effect.name}` | `{p.key}` | {p.unit} | {p.neutral:g} | {p.tolerance:g} "
+        f"| {p.lower:g} to {p.upper:g} | {p.description} |"
+        for effect in effects.values()
+        for p in effect.parameters
+        if p.form
     ]
     return (
         _HEAD
         + _TABLE_HEAD
         + "\n".join(rows)
+        + "\n"
+        + _FORMS_HEAD
+        + "\n".join(forms)
         + "\n"
         + "".join(_section(effect, effects) for effect in effects.values())
     )
@@ -116,6 +142,7 @@ def _facts(effect: Effect, effects: Mapping[str, Effect]) -> list[str]:
             f"`{p.key}` with sigma {p.typical if p.free_sigma is None else p.free_sigma:g}, "
             "{:g} to {:g}".format(*p.free_bounds)
             for p in effect.parameters
+            if not p.form
         )
         lines.append(f"- Free with an unknown {_words(effect.freed_by)}: {free}.")
     if effect.adjustment:
