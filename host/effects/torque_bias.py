@@ -42,9 +42,9 @@ EFFECT = Effect(
     observable="flight with changing thrust; in hover it looks like an offset of the centre of mass",
     replaced_by=(TORQUE,),
     closing=Closing(
-        model="a constant torque",
-        planner="nothing, except in starred plans, whose dynamics contain it; limits are checked for the "
-        "nominal vehicle",
+        model="a constant torque, of which a share may grow with the thrust",
+        planner="if the model has no drag, prefers paths on which the share that grows with the thrust "
+        "changes less; the torque at hover is ignored",
         law=None,
         no_law="the feed-forward has no torque; the rate integral balances it",
     ),
