@@ -76,7 +76,7 @@ def test_residual_model_of_a_file_holds_effects_and_adjustments() -> None:
     )
     taken = ResidualModel.of(model, EFFECTS)
     assert [(effect.name, theta) for effect, theta in taken.parts] == [
-        ("linear-drag", (0.4, 0.0, 0.0)),
+        ("linear-drag", part("linear-drag", 0.4)[1]),
         ("mass", (1.01,)),
     ]
     assert taken.id == model.id

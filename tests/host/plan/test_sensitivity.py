@@ -103,7 +103,9 @@ def test_sensitivity_is_nan_only_where_an_effect_has_no_slope() -> None:
         return slowed * x, slowed * y, slowed * z
 
     rooted = replace(EFFECTS["linear-drag"], specific_force_frd=force)
-    found = sensitivity(VEHICLE, ResidualModel(parts=((rooted, (0.1, 0.1, 0.1)),)), TABLE, YAWS)
+    found = sensitivity(
+        VEHICLE, ResidualModel(parts=((rooted, part("linear-drag", 0.1, 0.1, 0.1)[1]),)), TABLE, YAWS
+    )
     assert found is not None
     assert np.isnan(found.velocity[0])  # at rest
     assert np.isfinite(found.velocity[1:-1]).all()
