@@ -102,7 +102,7 @@ def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere()
     assert "1 of 4" in html
     published = {"seed": None, "secret": "ab" * 32, "secret_sha256": "cd" * 32}
     sealed = page({**OUTCOME, "answer": {**OUTCOME["answer"], **published}}, {}, {})
-    assert "<title>Blind study of 4 worlds, secret abababab " in sealed
+    assert "<title>Blind study of 4 worlds in the plant of rotor&lt;b&gt;py, secret abababab " in sealed
     assert "ab" * 32 in sealed
     assert "cd" * 32 in sealed
     assert not re.search(r'(src|href)="(?!data:)', html)

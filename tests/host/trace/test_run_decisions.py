@@ -470,12 +470,13 @@ def disagreement(
     ("without", "speaks"),
     [
         pytest.param(-50.0, False, id="needed"),
-        pytest.param(10.0, False, id="as-good"),
-        pytest.param(10.0 + TIE_NATS * BELOW, False, id="just-below"),
-        pytest.param(10.0 + TIE_NATS * ABOVE, True, id="just-above"),
+        pytest.param(10.0 - TIE_NATS * ABOVE, False, id="just-confirmed"),
+        pytest.param(10.0 - TIE_NATS * BELOW, True, id="just-not-confirmed"),
+        pytest.param(10.0, True, id="as-good"),
+        pytest.param(60.0, True, id="rejected"),
     ],
 )
-def test_segment_disagreement_names_an_effect_that_segments_reject(
+def test_segment_disagreement_names_an_effect_that_segments_do_not_confirm(
     monkeypatch: pytest.MonkeyPatch, without: float, speaks: bool
 ) -> None:
     evidence = {("drag", "gain"): 10.0, ("gain",): without, ("drag",): -50.0}

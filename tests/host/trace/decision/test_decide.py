@@ -211,10 +211,10 @@ def test_reasons_and_doubts_are_different_codes() -> None:
             id="aliases",
         ),
         pytest.param(
-            {"segment_disagreement_nats": {"drag": 4.0}},
+            {"segment_disagreement_nats": {"drag": -4.0}},
             {"odds": 1e3},
-            Verdict.UNDECIDED,
             Verdict.TRACED,
+            Verdict.UNDECIDED,
             id="segments",
         ),
         pytest.param(

@@ -179,22 +179,23 @@ def test_better_but_unsupported_counts_only_for_segments(by_segments: bool, pair
     [
         pytest.param({}, (), id="not-asked"),
         pytest.param({"drag": -50.0}, (), id="needed"),
-        pytest.param({"drag": 0.0}, (), id="as-good"),
-        pytest.param({"drag": TIE_NATS * BELOW}, (), id="just-below"),
-        pytest.param({"drag": TIE_NATS}, (), id="at"),
-        pytest.param({"drag": TIE_NATS * ABOVE}, ("drag",), id="just-above"),
-        pytest.param({"drag": 9.0, "gain": 7.0, "lag": 0.0}, ("drag", "gain"), id="two-of-three"),
-        pytest.param({"lag": -1.0, "gain": 7.0, "drag": 9.0}, ("gain", "drag"), id="in-their-order"),
+        pytest.param({"drag": -TIE_NATS * ABOVE}, (), id="just-confirmed"),
+        pytest.param({"drag": -TIE_NATS}, (), id="at"),
+        pytest.param({"drag": -TIE_NATS * BELOW}, ("drag",), id="just-not-confirmed"),
+        pytest.param({"drag": 0.0}, ("drag",), id="as-good"),
+        pytest.param({"drag": 9.0}, ("drag",), id="rejected"),
+        pytest.param({"drag": 9.0, "gain": 7.0, "lag": -9.0}, ("drag", "gain"), id="two-of-three"),
+        pytest.param({"lag": -9.0, "gain": 7.0, "drag": 9.0}, ("gain", "drag"), id="in-their-order"),
     ],
 )
-def test_segment_disagreement_names_effects_that_segments_reject(
+def test_segment_disagreement_names_effects_that_segments_do_not_confirm(
     nats: dict[str, float], expected: Names
 ) -> None:
     findings = segment_disagreement(nats, RULES)
     assert [finding.subject for finding in findings] == ([expected] if expected else [])
     for finding in findings:
         assert finding.code is Code.SEGMENTS_DISAGREE
-        assert (finding.value, finding.bound, finding.unit) == (max(nats.values()), TIE_NATS, "nats")
+        assert (finding.value, finding.bound, finding.unit) == (max(nats.values()), -TIE_NATS, "nats")
         text = sentence(finding)
         assert [name in text for name in nats] == [name in expected for name in nats]
 

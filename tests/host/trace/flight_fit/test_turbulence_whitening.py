@@ -15,7 +15,7 @@ from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, turbulence
-from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
+from trimtab.host.trace.flight_fit.whitening import CHANNELS, WINDOWS, Whitening
 
 LONG = 200
 REPEAT_FLIGHTS = [(0, 1)]
@@ -65,14 +65,11 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
     return used
 
 
-def is_tempered(fit: FlightFit) -> bool:
-    """Return whether the fit is FIT with residuals weighted by 1/RULES.temper."""
+def is_kept(fit: FlightFit) -> bool:
+    """Return whether the fit is FIT, whose search of order 1 was tempered already."""
     np.testing.assert_array_equal(fit.theta_scaled, FIT.theta_scaled)
     assert (fit.effects, fit.log_evidence) == (FIT.effects, FIT.log_evidence)
-    return bool(
-        np.allclose(fit.covariance, RULES.temper * FIT.covariance)
-        and np.allclose(fit.grams, FIT.grams / RULES.temper)
-    )
+    return bool(np.allclose(fit.covariance, FIT.covariance) and np.allclose(fit.grams, FIT.grams))
 
 
 @pytest.mark.parametrize(
@@ -98,7 +95,7 @@ def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     refitted = refit_with_turbulence_whitening(loop_of(bins), FIT, 1, repeat_flights)
     assert len(whitenings) == compared
     if not compared:
-        assert is_tempered(refitted)
+        assert is_kept(refitted)
         assert refitted.whitening is FIT.whitening
         return
     theta_scaled, covariance, grams = AGAIN
@@ -110,11 +107,17 @@ def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     assert (refitted.effects, refitted.log_evidence) == (FIT.effects, FIT.log_evidence)
 
 
+def test_without_repeat_flights_a_fit_of_full_order_is_tempered() -> None:
+    fit = refit_with_turbulence_whitening(loop_of(), FIT, len(WINDOWS), [])
+    np.testing.assert_allclose(fit.covariance, RULES.temper * FIT.covariance)
+    np.testing.assert_allclose(fit.grams, FIT.grams / RULES.temper)
+
+
 def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
     loop = ResidualsOnly()
     loop.known[0][: LONG // 2] = False
     loop.known[1][LONG // 2 :] = False
-    assert is_tempered(refit_with_turbulence_whitening(cast(ClosedLoop, loop), FIT, 1, REPEAT_FLIGHTS))
+    assert is_kept(refit_with_turbulence_whitening(cast(ClosedLoop, loop), FIT, 1, REPEAT_FLIGHTS))
     assert whitenings == []
 
 
