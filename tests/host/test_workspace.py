@@ -18,6 +18,23 @@ from trimtab.host.vehicle import ConfigurationError, list_vehicles, load_vehicle
 from trimtab.host.workspace import open_workspace
 
 DOCS = Path(__file__).parents[2] / "docs"
+CONTEXT = Context(
+    p_ned=(0.0, 0.0, -2.0),
+    v_ned=(0.0, 0.0, 0.0),
+    v_air_frd=(0.0, 0.0, 0.0),
+    R=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
+    rate_frd=(0.0, 0.0, 0.0),
+    thrust=(1.8, 1.8, 1.8, 1.8),
+    collective_n=7.2,
+    mass_kg=0.75,
+    voltage_ratio=1.0,
+    t_s=0.0,
+    rotor_positions=((0.1, 0.1, 0.0),) * 4,
+    spin_signs=(1.0, 1.0, -1.0, -1.0),
+    inertia_kg_m2=(0.0025, 0.0021, 0.0043),
+    hover_n=1.8,
+)
+"""Upside down 2 m over the floor: body down is world up."""
 
 
 def test_workspace_finds_own_and_shipped_files(tmp_path: Path) -> None:
@@ -99,31 +116,40 @@ def workspace(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 def test_workspace_pages_effect_loads_and_acts_as_its_equation_says(workspace: Path) -> None:
     effect = load_effects(workspace)["elastic-tether"]
     assert effect.specific_force_frd is not None
-    # Half a turn about x: body down is world up.
-    context = Context(
-        p_ned=(0.0, 0.0, -2.0),
-        v_ned=(0.0, 0.0, 0.0),
-        v_air_frd=(0.0, 0.0, 0.0),
-        R=(1.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, -1.0),
-        rate_frd=(0.0, 0.0, 0.0),
-        thrust=(1.8, 1.8, 1.8, 1.8),
-        collective_n=7.2,
-        mass_kg=0.75,
-        voltage_ratio=1.0,
-        t_s=0.0,
-        rotor_positions=((0.1, 0.1, 0.0),) * 4,
-        spin_signs=(1.0, 1.0, -1.0, -1.0),
-        inertia_kg_m2=(0.0025, 0.0021, 0.0043),
-        hover_n=1.8,
-    )
     # 2 m from an anchor below it, of which 0.5 m are slack.
-    assert effect.specific_force_frd(FLOAT, (0.1, 0.5, 0.0, 0.0), context) == pytest.approx(
+    assert effect.specific_force_frd(FLOAT, (0.1, 0.5, 0.0, 0.0), CONTEXT) == pytest.approx(
         (0.0, 0.0, -0.15), abs=1e-3
     )
-    assert effect.specific_force_frd(FLOAT, (0.1, 3.0, 0.0, 0.0), context) == pytest.approx(
+    assert effect.specific_force_frd(FLOAT, (0.1, 3.0, 0.0, 0.0), CONTEXT) == pytest.approx(
         (0.0, 0.0, 0.0), abs=1e-3
     )
-    assert effect.specific_force_frd(FLOAT, effect.neutral, context) == pytest.approx((0.0, 0.0, 0.0))
+    assert effect.specific_force_frd(FLOAT, effect.neutral, CONTEXT) == pytest.approx((0.0, 0.0, 0.0))
+
+
+def test_workspace_pages_effect_takes_the_form_of_the_page(workspace: Path) -> None:
+    page = (DOCS / "guide" / "workspace.md").read_text(encoding="utf-8")
+    (hardening,) = re.findall(r'^`(form\("hardening".*\))`$', page, flags=re.MULTILINE)
+    assert "multiply the force by `1.0 + hardening * taut`" in page
+    file = workspace / "effects" / "elastic_tether.py"
+    source = file.read_text(encoding="utf-8")
+    for old, new in (
+        ("Effect, number", "Effect, form, number"),
+        ("north, east = theta", "north, east, hardening = theta"),
+        ("[-stiffness * taut", "[-stiffness * (1.0 + hardening * taut) * taut"),
+        ("    ),\n    closing", f"        {hardening},\n    ),\n    closing"),
+    ):
+        assert source.count(old) == 1
+        source = source.replace(old, new)
+    file.write_text(source, encoding="utf-8")
+    effect = load_effects(workspace)["elastic-tether"]
+    assert [parameter.key for parameter in effect.parameters if parameter.form] == ["hardening"]
+    assert effect.specific_force_frd is not None
+    plain, hard = (
+        effect.specific_force_frd(FLOAT, (0.1, 0.5, 0.0, 0.0, value), CONTEXT) for value in (0.0, 0.2)
+    )
+    # Stretched by 1.5 m, the line pulls with 1.3 of its force.
+    assert hard == pytest.approx([1.3 * value for value in plain], rel=1e-3)
+    assert effect.specific_force_frd(FLOAT, (0.0, 0.5, 0.0, 0.0, 0.3), CONTEXT) == pytest.approx((0.0,) * 3)
 
 
 def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.CaptureFixture[str]) -> None:
