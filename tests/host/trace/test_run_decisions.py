@@ -245,7 +245,7 @@ class KnownLoopFitter:
     """Stand-in for the flight fitter that records its calls."""
 
     loop = None
-    order = 3
+    order = 4
 
     def __init__(self, space: ParameterSpace) -> None:
         self.space = space
