@@ -124,6 +124,7 @@ def build_space(*effects: Effect | str) -> ParameterSpace:
             lower=p.lower,
             upper=p.upper,
             strength=p.strength,
+            form=p.form,
         )
         for effect in known
         for p in effect.parameters
