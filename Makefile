@@ -9,6 +9,7 @@ READY := $(VENV)/trimtab.stamp
 READY_ALL := $(VENV)/trimtab-all.stamp
 READY_BENCH := $(VENV)/trimtab-bench.stamp
 READY_CLIENTS := $(VENV)/trimtab-clients.stamp
+READY_PLANTS := $(VENV)/trimtab-plants.stamp
 WORKERS ?= auto
 TESTS ?=
 FUZZ_INPUTS ?= 10000000
@@ -31,6 +32,9 @@ $(READY_ALL): requirements-all.lock $(READY)
 $(READY_CLIENTS): requirements-clients.lock $(READY)
 	@.ci/venv requirements-clients.lock $@
 
+$(READY_PLANTS): requirements-plants.lock $(READY)
+	@.ci/venv requirements-plants.lock $@
+
 $(READY_BENCH): requirements-bench.lock $(READY)
 	@.ci/venv requirements-bench.lock $@
 
@@ -40,7 +44,7 @@ demo: $(READY)
 test: $(READY)
 	$(PYTEST) -m "not full" $(TESTS)
 
-test-all: $(READY_ALL) $(READY_CLIENTS)
+test-all: $(READY_ALL) $(READY_CLIENTS) $(READY_PLANTS)
 	$(PYTEST) $(TESTS)
 
 lint: style types

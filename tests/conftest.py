@@ -53,7 +53,7 @@ def _node() -> str | None:
 
 def _plants() -> str | None:
     missing = [name for name in ("rotorpy", "crazyflow") if not importlib.util.find_spec(name)]
-    return f"{' and '.join(missing)} not installed (the extra plants)" if missing else None
+    return f"{' and '.join(missing)} not installed (requirements-plants.lock)" if missing else None
 
 
 def _pty() -> str | None:
