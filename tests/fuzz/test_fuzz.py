@@ -92,12 +92,12 @@ def test_exception_of_a_handler_is_found_and_can_be_replayed(
     monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str], tmp_path: Any
 ) -> None:
     monkeypatch.setattr(Commands, "long", _raises_on_odd_numbers(Commands.long))
-    crash = _crashes("vehicle-messages", 1_000).crashes[0]
+    crash = _crashes("vehicle-messages", 3_000).crashes[0]
     assert "NaN" in crash.error or "infinity" in crash.error
     again = replay(crash.kind, crash.seed, crash.index)
     assert again is not None
     assert (again.error, again.data) == (crash.error, crash.data)
-    words = ["--inputs", "1000", "--seed", "6", "--kinds", "vehicle-messages", "--save", str(tmp_path)]
+    words = ["--inputs", "3000", "--seed", "6", "--kinds", "vehicle-messages", "--save", str(tmp_path)]
     assert main(words) == 1
     assert (tmp_path / f"fuzz-{crash.kind}-6-{crash.index}.hex").read_text().strip() == crash.data
     assert main(["--seed", "6", "--replay", f"{crash.kind}:{crash.index}"]) == 1

@@ -45,12 +45,12 @@ def diagnosis() -> Diagnosis:
 
 def made(*, added: bool = True) -> Model:
     found = diagnosis()
-    named = named_effects(SPACE, found, {name: {} for name in SELECTED})
+    named = named_effects(SPACE, found, {name: {} for name in SELECTED}, dict.fromkeys(SELECTED, 1.0))
     return model_of(SPACE, found, THETA_SCALED, [build_flight()], named, added, None)
 
 
 def test_named_effect_reports_no_form() -> None:
-    named = named_effects(SPACE, diagnosis(), {name: {} for name in SELECTED})
+    named = named_effects(SPACE, diagnosis(), {name: {} for name in SELECTED}, dict.fromkeys(SELECTED, 1.0))
     assert {each.name: list(each.parameters) for each in named} == {
         "linear-drag": ["dx", "dy", "dz"],
         "rotor-loss": ["loss_2"],

@@ -46,8 +46,9 @@ def verdict(said: str, *names: str, aliases: dict[str, list[str]] | None = None)
         {
             "name": name,
             "parameters": {
-                key: {"value": neutral + 1.0, "sd": 0.1, "unit": "1"}
-                for key, neutral in zip(EFFECTS[name].keys, EFFECTS[name].neutral, strict=True)
+                p.key: {"value": p.neutral + 1.0, "sd": 0.1, "unit": "1"}
+                for p in EFFECTS[name].parameters
+                if not p.form
             },
             "probability": 1.0,
             "aliases": [{"name": a, "probability": 0.1} for a in (aliases or {}).get(name, [])],
