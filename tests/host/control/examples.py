@@ -39,7 +39,7 @@ def settings(name: str = "mpc") -> MpcSettings:
 
 def drag_model(network: Network | None = None) -> Model:
     """A model file with the drag."""
-    values = dict(zip(EFFECTS["linear-drag"].keys, DRAG, strict=True))
+    values: dict[str, float] = dict(zip(("dx", "dy", "dz"), DRAG, strict=True))
     return Model(
         vehicle_id=VEHICLE.id, vehicle_name=VEHICLE.name, effects={"linear-drag": values}, network=network
     )

@@ -10,7 +10,8 @@ import casadi as ca
 import numpy as np
 import pytest
 
-from tests.host.control.examples import DRAG, EFFECTS, NETWORK, VEHICLE, reference, settings
+from tests.host.control.examples import DRAG, NETWORK, VEHICLE, reference, settings
+from tests.parts import part
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.control.closed_loop import Plant, fly
 from trimtab.host.control.dynamics import STATES, ControlModel, rate_lag_s
@@ -26,7 +27,7 @@ NEAR_BOUND_SHARE = 4e-3
 MODEL = ControlModel(
     vehicle=VEHICLE,
     rate_lag_s=rate_lag_s(VEHICLE),
-    parts=((EFFECTS["linear-drag"], DRAG),),
+    parts=(part("linear-drag", *DRAG),),
     network=NETWORK,
 )
 SETTINGS = settings()
