@@ -12,4 +12,4 @@ _shipped = cache(load_effects)
 def part(name: str, *values: float) -> tuple[Effect, tuple[float, ...]]:
     """Return a shipped effect with `values` for its first parameters; the others are neutral."""
     effect = _shipped()[name]
-    return effect, (*values, *effect.neutral[len(values) :])
+    return effect, effect.theta(values)

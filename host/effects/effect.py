@@ -177,6 +177,8 @@ class Effect:
     one_of
         Whether only one of the parameters may leave neutral, as for one rotor of four. Each parameter is then
         a candidate.
+    form_torque
+        Whether `torque_frd` is 0 at the neutral form (`Parameter.form`). No plan avoids such a torque.
     memory
         Number of states that the effect adds. `memory_start` gives their values at rest, `memory_rates` their
         derivatives.
@@ -235,6 +237,7 @@ class Effect:
     freed_by: tuple[str, ...] = ()
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
+    form_torque: bool = False
     memory: int = 0
     starts: tuple[Theta, ...] = ()
     mass_factor: Callable[[Ops, Theta], Scalar] | None = None
@@ -337,6 +340,10 @@ class Effect:
         if set(words) & set(self.freed_by):
             return ()
         return tuple(word for word in words if word in self.replaced_by)
+
+    def theta(self, values: Sequence[float]) -> tuple[float, ...]:
+        """Return theta with these first values, and a neutral form."""
+        return (*values, *self.neutral[len(values) :])
 
     @property
     def keys(self) -> tuple[str, ...]:

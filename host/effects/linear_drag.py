@@ -67,5 +67,6 @@ EFFECT = Effect(
     ),
     specific_force_frd=_force,
     torque_frd=_torque,
+    form_torque=True,
     to_feedforward=_feedforward,
 )

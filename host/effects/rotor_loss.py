@@ -81,5 +81,6 @@ EFFECT = Effect(
     one_of=True,
     rotor_factors=_factors,
     torque_frd=_torque,
+    form_torque=True,
     to_feedforward=_feedforward,
 )

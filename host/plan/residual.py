@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, Any
 
 import numpy as np
@@ -101,8 +101,9 @@ class ResidualModel:
         """
         parts = self.parts if parts is None else parts
         d = residual_acceleration_ned(ops, vehicle, parts, x)
-        known = [part for part in parts if part[0].name in self._known]
-        acceleration, torque = residual_loads(ops, vehicle, parts, known, x)
+        avoidable = [(_without_form_torque(effect), theta) for effect, theta in parts]
+        known = [part for part in avoidable if part[0].name in self._known]
+        acceleration, torque = residual_loads(ops, vehicle, avoidable, known, x)
         if acceleration is not None:
             d = [a + b for a, b in zip(d, acceleration, strict=True)]
         arm_m = float(np.mean([np.hypot(*rotor.position_m[:2]) for rotor in vehicle.rotors]))
@@ -145,6 +146,10 @@ class ResidualModel:
         """Return the rows (3 or 6, n) without the network at states (16, n)."""
         rows = self.rows(NUMPY, vehicle, list(x))
         return np.array([np.broadcast_to(row, x.shape[1:]) for row in rows], dtype=float)
+
+
+def _without_form_torque(effect: Effect) -> Effect:
+    return replace(effect, torque_frd=None) if effect.form_torque else effect
 
 
 def _hover(vehicle: Vehicle, yaw: float) -> Array:

@@ -105,7 +105,7 @@ def make_flights(
     for name, count in (counts or _COUNTS).items():
         duration_s = _DURATION_S / (_OOD_FASTER if name == "ood" else 1.0)
         references = tuple(_reference(rng, vehicle, duration_s) for _ in range(count))
-        sets[name] = fly(phi, phi.theta([(effect, DRAG)]), references)
+        sets[name] = fly(phi, phi.theta([(effect, effect.theta(DRAG))]), references)
     return sets
 
 

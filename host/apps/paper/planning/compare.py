@@ -48,7 +48,8 @@ PACES = (1.0, 0.75)
 def planned(vehicle: Vehicle, seed: int, index: int) -> dict[str, Any]:
     """Plan one course in every kind, with the paper's number of nodes and weight of control effort."""
     course = draw_course(vehicle, seed, index, "planned")
-    known = ResidualModel(parts=((load_effects()[LINEAR_DRAG.name], DRAG),))
+    drag = load_effects()[LINEAR_DRAG.name]
+    known = ResidualModel(parts=((drag, drag.theta(DRAG)),))
     paper = paper_settings(vehicle)
     return {
         "course": course.route.name,
