@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from tests.host.trace.builders import build_effect, build_space
 from trimtab.host.base.errors import UsageError
 from trimtab.host.effects import load_effects
 from trimtab.host.trace.decision.rules import RULES
@@ -148,6 +149,45 @@ def test_space_admits_wind_only_with_a_drag() -> None:
     assert not parameter_space.admissible(["wind"])
     assert parameter_space.admissible(["wind", "linear-drag"])
     assert parameter_space.admissible(["wind", "quadratic-drag", "motor-lag"])
+
+
+@pytest.mark.parametrize(
+    ("candidate", "other", "expected"),
+    [
+        pytest.param("linear-drag", "thrust-inflow", True, id="each-states-the-other"),
+        pytest.param("uneven-lag", "dead-zone", True, id="of-the-rotors"),
+        pytest.param("rotor-loss.loss_2", "com-offset", True, id="one-rotor-of-four"),
+        pytest.param("com-offset", "rotor-loss.loss_2", True, id="the-other-way-round"),
+        pytest.param("linear-drag", "com-offset", False, id="neither-states-the-other"),
+        pytest.param("linear-drag", "linear-drag", False, id="itself"),
+    ],
+)
+def test_aliases_are_those_that_either_effect_states(candidate: str, other: str, expected: bool) -> None:
+    assert space(VEHICLE, EFFECTS).are_aliases(candidate, other) == expected
+
+
+def test_an_alias_that_only_one_effect_states_counts_from_both_sides() -> None:
+    made = build_space(build_effect("drag", aliases=("lift",)), "lift", "lag")
+    assert made.are_aliases("drag", "lift")
+    assert made.are_aliases("lift", "drag")
+    assert not made.are_aliases("lag", "lift")
+
+
+@pytest.mark.parametrize(
+    ("candidate", "selected", "expected"),
+    [
+        pytest.param("wind", (), False, id="alone"),
+        pytest.param("wind", ("wind", "motor-lag"), False, id="beside-another"),
+        pytest.param("wind", ("linear-drag",), True, id="by-one-drag"),
+        pytest.param("wind", ("quadratic-drag", "wind"), True, id="by-the-other-drag"),
+        pytest.param("motor-lag", (), True, id="needs-none"),
+        pytest.param("rotor-loss.loss_1", (), True, id="one-of-four-needs-none"),
+    ],
+)
+def test_an_effect_is_carried_by_one_that_it_acts_through(
+    candidate: str, selected: tuple[str, ...], expected: bool
+) -> None:
+    assert space(VEHICLE, EFFECTS).carried(candidate, selected) == expected
 
 
 def test_check_finite_raises_with_the_parameter_that_diverges() -> None:

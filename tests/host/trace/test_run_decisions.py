@@ -35,6 +35,7 @@ from trimtab.host.trace.decision.decide import segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
+from trimtab.host.trace.flight_fit.whitening import WINDOWS
 from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
@@ -241,14 +242,18 @@ def test_selected_set_is_judged_unless_it_is_empty_and_improbable(
     assert selected_set_is_judged(outcome) == judged
 
 
+FULL_ORDER = len(WINDOWS)
+"""Order of an autoregression with all its windows: the search is not tempered."""
+
+
 class KnownLoopFitter:
     """Stand-in for the flight fitter that records its calls."""
 
     loop = None
-    order = 4
 
-    def __init__(self, space: ParameterSpace) -> None:
+    def __init__(self, space: ParameterSpace, order: int = FULL_ORDER) -> None:
         self.space = space
+        self.order = order
         self.calls: list[tuple[Names, FlightFit]] = []
 
     def fit(self, effects: Names, start: FlightFit) -> FlightFit:
@@ -264,12 +269,13 @@ def without_faults(
     monkeypatch: pytest.MonkeyPatch,
     outcome: SearchResult[FlightFit],
     residual: FlightRepeat | None,
+    order: int = FULL_ORDER,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the reduced search result if the residual of whole flights repeats, and the fitter."""
     monkeypatch.setattr(
         selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
     )
-    fitter = KnownLoopFitter(SWINGING)
+    fitter = KnownLoopFitter(SWINGING, order)
     return without_payload_artefacts(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
@@ -312,6 +318,19 @@ def test_without_payload_artefacts_drops_effects_that_explain_little_beside_a_sw
     else:
         assert reduced_result is outcome
         assert fitter.calls == []
+
+
+@pytest.mark.parametrize(
+    ("share", "reduced"),
+    [pytest.param(BELOW, True, id="just-within"), pytest.param(ABOVE, False, id="just-beyond")],
+)
+def test_without_payload_artefacts_of_tempered_evidence_asks_for_a_tempered_gain(
+    monkeypatch: pytest.MonkeyPatch, share: float, reduced: bool
+) -> None:
+    gap = FAULT * 400.0 / RULES.temper * share
+    outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap})
+    result, _ = without_faults(monkeypatch, outcome, nats(400.0), FULL_ORDER - 1)
+    assert result.selected.effects == (("payload",) if reduced else BOTH.effects)
 
 
 def test_without_payload_artefacts_of_a_set_without_swing_is_unchanged(

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, cast
 
 import numpy as np
@@ -18,19 +18,25 @@ from tests.host.trace.builders import (
     build_space,
     weights_of_nothing,
 )
+from trimtab.host.effects.parameter import form
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import (
     Fitter,
     Names,
+    Score,
     _is_supported,
     _most_parsimonious,
     _proposals,
+    _underrated_substitutions,
     most_parsimonious,
     most_probable,
     null_probability_of,
+    search,
     sizes,
+    without_dispensable,
 )
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
@@ -246,3 +252,154 @@ def test_a_set_is_supported_if_every_effect_is_present(
     effects: Names, theta_scaled: Sequence[float], expected: bool
 ) -> None:
     assert _is_supported(prior_only(BORNE), build_fit(effects, theta_scaled=theta_scaled)) == expected
+
+
+OPEN = RULES.alias_probability
+
+
+@pytest.mark.parametrize(
+    ("selected", "weights", "expected"),
+    [
+        pytest.param((), {(): 1.0}, (), id="nothing-selected"),
+        pytest.param(("a",), {("a",): 1.0 - OPEN * BELOW, (): OPEN * BELOW}, ("a",), id="just-needed"),
+        pytest.param(("a",), {("a",): 1.0 - OPEN * ABOVE, (): OPEN * ABOVE}, (), id="just-dispensable"),
+        pytest.param(("a",), {("a",): 188.0, (): 12.0}, (), id="relative-weights"),
+        pytest.param(("a", "b"), {("a", "b"): 0.9, ("a",): 0.1}, ("a",), id="one-of-two"),
+        pytest.param(("a", "b"), {("a", "b"): 0.9, (): 0.1}, (), id="neither-is-shown"),
+        pytest.param(
+            ("a", "b"),
+            {("a", "b"): 0.5, ("a",): 0.3, ("b",): 0.2},
+            ("a",),
+            id="either-the-less-probable-goes",
+        ),
+        pytest.param(("a", "b"), {("a", "b"): 0.5, ("a", "c"): 0.5}, ("a", "b"), id="an-alias-is-no-subset"),
+        pytest.param(("a", "b"), {("a", "b"): 0.9, ("a", "b", "c"): 0.1}, ("a", "b"), id="one-more-effect"),
+        pytest.param(
+            ("a", "b", "c"),
+            {("a", "b", "c"): 0.88, ("a", "c"): 0.06, ("a",): 0.03, (): 0.03},
+            ("a",),
+            id="subsets-add-up",
+        ),
+    ],
+)
+def test_without_dispensable_drops_effects_that_the_rest_can_do_without(
+    selected: Names, weights: dict[Names, float], expected: Names
+) -> None:
+    assert without_dispensable(selected, weights) == expected
+
+
+FORMED = build_space(
+    build_effect(
+        "drag", build_parameter("size"), form("share", 0.3, -0.6, 0.6, "a share"), aliases=("wind", "lift")
+    ),
+    "wind",
+    "lift",
+    "lag",
+    build_effect("gain", aliases=("wind",)),
+)
+"""Only the drag has a form; the wind, the lift and the drag are aliases, the gain and the wind are, too."""
+
+
+@dataclass(frozen=True)
+class KnownEvidence(PriorOnly):
+    """Fitter to which the log evidence of each set is known, in fits and in the linearisation.
+
+    fitted, screened: nats of sets; others are far worse. calls: the sets that were fitted.
+    """
+
+    fitted: Mapping[Names, float] = field(default_factory=dict)
+    screened: Mapping[Names, float] = field(default_factory=dict)
+    calls: list[Names] = field(default_factory=list)
+
+    def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
+        names = tuple(sorted(effects))
+        self.calls.append(names)
+        theta_scaled = np.zeros(len(self.space.columns))
+        theta_scaled[[i for name in names for i in self.space.groups[name]]] = 1.0
+        nats = self.fitted.get(names, -1e3)
+        return build_closed_fit(names, log_evidence=nats, theta_scaled=theta_scaled.tolist())
+
+    def scorers(self, fit: FlightFit) -> list[Score]:
+        return [lambda sets: [self.screened.get(tuple(sorted(names)), -1e3) for names in sets]]
+
+    def underrated_extensions(self, fit: FlightFit) -> list[Names]:
+        return []
+
+
+def known(fitted: Mapping[Names, float], screened: Mapping[Names, float]) -> KnownEvidence:
+    return KnownEvidence(FORMED, (0.1,) * len(FORMED.columns), fitted, screened)
+
+
+def substitutions(selected: Names, screened: Mapping[Names, float], gained: float) -> list[Names]:
+    """Return the sets to fit if the selected one gains so many nats, in a scale shifted by 7 nats."""
+    fitter = known({}, screened)
+    fit = build_closed_fit(selected, log_evidence=gained + 7.0)
+    return _underrated_substitutions(cast("Fitter[FlightFit]", fitter), fit, {(): 7.0})
+
+
+SHARE = RULES.form_share
+
+
+@pytest.mark.parametrize(
+    ("gained", "behind", "expected"),
+    [
+        pytest.param(50.0, WORTH * BELOW, [("drag",)], id="little-gained-just-within"),
+        pytest.param(50.0, WORTH * ABOVE, [], id="little-gained-just-beyond"),
+        pytest.param(2000.0, 2000.0 * SHARE * BELOW, [("drag",)], id="much-gained-just-within"),
+        pytest.param(2000.0, 2000.0 * SHARE * ABOVE, [], id="much-gained-just-beyond"),
+    ],
+)
+def test_an_alias_with_a_form_is_fitted_if_only_its_form_may_decide(
+    gained: float, behind: float, expected: list[Names]
+) -> None:
+    screened = {("wind",): 3.0, ("drag",): 3.0 - behind}
+    assert substitutions(("wind",), screened, gained) == expected
+
+
+@pytest.mark.parametrize(
+    ("selected", "expected"),
+    [
+        pytest.param((), [], id="nothing-to-replace"),
+        pytest.param(("wind",), [("drag",)], id="in-its-place"),
+        pytest.param(("lag", "wind"), [("drag", "lag")], id="beside-the-others"),
+        pytest.param(("lag",), [], id="no-alias"),
+        pytest.param(("drag",), [], id="an-alias-without-form"),
+        pytest.param(("drag", "wind"), [], id="selected-itself"),
+        pytest.param(
+            ("lift", "wind"), [("drag",), ("drag", "lift"), ("drag", "wind")], id="of-one-alias-and-of-all"
+        ),
+    ],
+)
+def test_an_effect_with_a_form_takes_the_place_of_its_aliases(selected: Names, expected: list[Names]) -> None:
+    every = [("drag",), ("wind",), ("lag",), ("gain",), ("drag", "lag"), ("drag", "lift"), ("drag", "wind")]
+    screened = dict.fromkeys([*every, ("lag", "wind"), ("lift", "wind"), ("gain", "lag"), ()], 0.0)
+    assert substitutions(selected, screened, 100.0) == expected
+
+
+def searched(fitter: KnownEvidence) -> Any:
+    return search(cast("Fitter[FlightFit]", fitter), fitter.fit((), BEST))
+
+
+def test_search_finds_an_effect_that_the_screening_underrates_for_lack_of_its_form() -> None:
+    """The best swap of the wind is the lift, so only the form brings the drag in."""
+    fitted = {(): 0.0, ("wind",): 90.0, ("lift",): 60.0, ("drag",): 110.0}
+    screened = {(): 0.0, ("wind",): 90.0, ("lift",): 89.0}
+    within = searched(known(fitted, {**screened, ("drag",): 90.0 - WORTH * BELOW}))
+    assert within.selected.effects == ("drag",)
+    assert within.inclusion_probability["drag"] > 0.99
+    farther = known(fitted, {**screened, ("drag",): 90.0 - WORTH * ABOVE})
+    assert searched(farther).selected.effects == ("wind",)
+    assert ("drag",) not in farther.calls
+
+
+@pytest.mark.parametrize(
+    ("nothing", "expected"),
+    [pytest.param(96.5, ("lag",), id="subsets-add-up"), pytest.param(90.0, ("lag", "wind"), id="needed")],
+)
+def test_search_selects_no_effect_that_its_subsets_do_without(nothing: float, expected: Names) -> None:
+    """Each subset alone is less than a twentieth as probable as the set of two."""
+    nats = {("lag", "wind"): 100.0, ("lag",): 99.9 - TIE_NATS, (): nothing}
+    assert max(nats[("lag",)], nothing) < 100.0 - TIE_NATS
+    result = searched(known(nats, nats))
+    assert result.selected.effects == expected
+    assert result.log_evidence[("lag", "wind")] == 100.0

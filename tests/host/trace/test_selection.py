@@ -1,13 +1,31 @@
-"""Detectability of effects, and the probability that no effect is missing."""
+"""Detectability and presence of effects, and the probability that no effect is missing."""
 
 from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+from types import SimpleNamespace
+from typing import cast
 
 import numpy as np
 import pytest
 
-from tests.host.trace.builders import MASS, build_diagnosis, build_effect, build_parameter, build_space
+from tests.host.trace.builders import (
+    MASS,
+    build_closed_fit,
+    build_diagnosis,
+    build_effect,
+    build_parameter,
+    build_search_result,
+    build_space,
+)
+from trimtab.host.effects.parameter import form
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.evidence import Prior
+from trimtab.host.trace.flight_fit.fit import FlightFitter
 from trimtab.host.trace.parameters import ParameterSpace
-from trimtab.host.trace.selection import detectability
+from trimtab.host.trace.search import Names
+from trimtab.host.trace.selection import detectability, present_effects, without_contradicted
 
 ROTOR = build_effect("rotor", *(build_parameter(f"loss_{k}") for k in (1, 2, 3)), one_of=True)
 PAIR = build_effect("pair", build_parameter("x"), build_parameter("y"))
@@ -88,3 +106,92 @@ def test_null_probability_is_the_weight_of_the_empty_set() -> None:
         0.25
     )
     assert build_diagnosis(posterior_weights={("drag",): 3.0}).null_probability == 0.0
+
+
+BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
+SIGMA, SPIKE = RULES.present_sigma, 0.1
+LINE = build_effect("line", build_parameter("ratio"), build_parameter("length", strength=False))
+BORNE = build_space(
+    build_effect("drag", build_parameter(), form("share", 0.3, -0.6, 0.6, "a share")),
+    build_effect("wind", requires_any=("drag",)),
+    LINE,
+    PAIR,
+)
+"""Columns: drag.size, drag.share, wind.size, line.ratio, line.length, pair.x, pair.y."""
+
+
+def present(effects: Names, theta_scaled: Sequence[float], covariance: np.ndarray) -> Names:
+    """Return the present effects if every spike is SPIKE."""
+    prior = Prior(groups=BORNE.groups, spike=np.full(len(BORNE.columns), SPIKE), nuisance_sigma=np.ones(1))
+    fitter = cast(FlightFitter, SimpleNamespace(space=BORNE, prior=prior))
+    return present_effects(fitter, build_closed_fit(effects, theta_scaled=theta_scaled), covariance)
+
+
+def sd(*values: float) -> np.ndarray:
+    """Return the covariance of independent parameters with these standard deviations."""
+    return np.diag(np.square(values))
+
+
+@pytest.mark.parametrize(
+    ("effects", "theta_scaled", "sds", "expected"),
+    [
+        pytest.param((), (0,) * 7, (1,) * 7, (), id="no-effect"),
+        pytest.param(("drag",), (SIGMA * ABOVE, 0, 0, 0, 0, 0, 0), (1,) * 7, ("drag",), id="beyond-chance"),
+        pytest.param(("drag",), (SIGMA * BELOW, 0, 0, 0, 0, 0, 0), (1,) * 7, (), id="within-chance"),
+        pytest.param(("drag",), (-SIGMA * ABOVE, 0, 0, 0, 0, 0, 0), (1,) * 7, ("drag",), id="of-either-sign"),
+        pytest.param(("drag",), (SPIKE * BELOW, 0, 0, 0, 0, 0, 0), (1e-3,) * 7, (), id="within-tolerance"),
+        pytest.param(("drag",), (SPIKE * ABOVE, 0, 0, 0, 0, 0, 0), (1e-3,) * 7, ("drag",), id="beyond-both"),
+        pytest.param(("drag",), (1, 9, 0, 0, 0, 0, 0), (1, 0.1, 1, 1, 1, 1, 1), (), id="a-form-is-no-size"),
+        pytest.param(
+            ("line",), (0, 0, 0, 1, 9, 0, 0), (1, 1, 1, 1, 0.1, 1, 1), (), id="a-length-is-no-strength"
+        ),
+        pytest.param(
+            ("pair",), (0, 0, 0, 0, 0, 1.5, 1.5), (1,) * 7, ("pair",), id="two-strengths-count-together"
+        ),
+        pytest.param(("pair",), (0, 0, 0, 0, 0, 1.5, 0.5), (1,) * 7, (), id="two-weak-strengths"),
+        pytest.param(
+            ("drag", "wind"), (9, 0, 1, 0, 0, 0, 0), (1,) * 7, ("drag",), id="what-it-carries-is-not-there"
+        ),
+        pytest.param(("drag", "wind"), (9, 0, 9, 0, 0, 0, 0), (1,) * 7, ("drag", "wind"), id="carried"),
+        pytest.param(("drag", "wind"), (1, 0, 9, 0, 0, 0, 0), (1,) * 7, (), id="its-carrier-is-not-there"),
+        pytest.param(("drag", "pair", "wind"), (1, 0, 9, 0, 0, 9, 0), (1,) * 7, ("pair",), id="others-stay"),
+    ],
+)
+def test_present_effects_exceed_tolerance_and_reported_standard_deviations(
+    effects: Names, theta_scaled: Sequence[float], sds: Sequence[float], expected: Names
+) -> None:
+    assert present(effects, theta_scaled, sd(*sds)) == expected
+
+
+def test_present_effects_take_the_correlation_of_strengths_into_account() -> None:
+    covariance = sd(*(1.0,) * 7)
+    theta_scaled = (0, 0, 0, 0, 0, 1.5, 1.5)
+    covariance[5, 6] = covariance[6, 5] = 0.9  # theta' C^-1 theta is 4.5 / 1.9
+    assert present(("pair",), theta_scaled, covariance) == ()
+    covariance[5, 6] = covariance[6, 5] = -0.9
+    assert present(("pair",), theta_scaled, covariance) == ("pair",)
+
+
+@pytest.mark.parametrize(
+    ("absent", "expected"),
+    [
+        pytest.param((), {"drag": 0.99, "lag": 0.2, "gain": 0.6}, id="none"),
+        pytest.param(("drag",), {"drag": RULES.open_probability, "lag": 0.2, "gain": 0.6}, id="one"),
+        pytest.param(("lag",), {"drag": 0.99, "lag": 0.2, "gain": 0.6}, id="improbable-anyway"),
+        pytest.param(
+            ("gain", "drag"),
+            {"drag": RULES.open_probability, "lag": 0.2, "gain": RULES.open_probability},
+            id="two",
+        ),
+    ],
+)
+def test_without_contradicted_caps_the_probability_of_what_the_refit_does_not_find(
+    absent: Names, expected: dict[str, float]
+) -> None:
+    outcome = replace(
+        build_search_result(build_closed_fit(("drag", "gain"))),
+        inclusion_probability={"drag": 0.99, "lag": 0.2, "gain": 0.6},
+    )
+    capped = without_contradicted(outcome, absent)
+    assert capped.inclusion_probability == expected
+    assert capped == replace(outcome, inclusion_probability=expected)

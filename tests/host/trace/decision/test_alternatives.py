@@ -75,6 +75,61 @@ def test_aliases_of_the_empty_set_are_empty() -> None:
     assert aliases_of((), {(): 0.5, ("wind",): 0.5}, LIBRARY, RULES) == {}
 
 
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
+        pytest.param(
+            {("drag",): 0.91, ("wind",): 0.04, ("lag",): 0.03, ("gain",): 0.02},
+            {"wind": 0.04},
+            id="one-more-holds-enough",
+        ),
+        pytest.param(
+            {("drag",): 0.89, ("wind",): 0.04, ("lag",): 0.03, ("gain",): 0.025, ("sag",): 0.015},
+            {"wind": 0.04, "lag": 0.03},
+            id="two-more-hold-enough",
+        ),
+        pytest.param(
+            {("drag",): 0.93, ("lag", "wind"): 0.04, (): 0.03}, {"wind": 0.04}, id="of-two-in-a-set-one"
+        ),
+        pytest.param(
+            {("drag",): 0.8, ("lag",): 0.1, ("gain",): 0.06, ("wind",): 0.04},
+            {"lag": 0.1, "gain": 0.06},
+            id="probable-ones-hold-enough",
+        ),
+        pytest.param(
+            {("drag", "sag"): 0.96, ("sag",): 0.02, ("wind",): 0.02},
+            {},
+            id="the-effect-beside-another-holds-enough",
+        ),
+        pytest.param({("drag",): 0.9, (): 0.1}, {}, id="nothing-is-no-alias"),
+    ],
+)
+def test_aliases_of_are_listed_until_the_effect_and_they_hold_all_but_the_alias_probability(
+    weights: dict[Names, float], expected: dict[str, float]
+) -> None:
+    """Each alone may be improbable; together they are not."""
+    alternatives = aliases_of(("drag",), weights, LIBRARY, RULES)["drag"]
+    assert alternatives == pytest.approx(expected)
+    assert list(alternatives) == list(expected)
+
+
+@pytest.mark.parametrize(
+    ("rest", "expected"),
+    [
+        pytest.param(OPEN * BELOW, ["wind"], id="just-held"),
+        pytest.param(OPEN * ABOVE, ["wind", "lag"], id="just-not-held"),
+    ],
+)
+def test_aliases_of_stop_at_the_alias_probability(rest: float, expected: list[str]) -> None:
+    weights: dict[Names, float] = {
+        ("drag",): 0.8 - rest,
+        ("wind",): 0.2,
+        ("lag",): 0.6 * rest,
+        ("sag",): 0.4 * rest,
+    }
+    assert list(aliases_of(("drag",), weights, LIBRARY, RULES)["drag"]) == expected
+
+
 HIDING = build_space(
     build_effect("drag", aliases=("lift",)),
     build_effect("lift"),

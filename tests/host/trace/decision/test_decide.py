@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import Any
 
@@ -132,6 +133,58 @@ def test_effects_are_added_unless_the_cause_is_outside_the_library(
     changes: dict[str, Any], expected: bool
 ) -> None:
     assert decide(build_inputs(("drag",), **changes)).within_library == expected
+
+
+# Probabilities.
+
+
+@pytest.mark.parametrize(
+    ("by_flights", "nats", "expected"),
+    [
+        pytest.param(0.999, None, 0.999, id="segments-not-asked"),
+        pytest.param(0.999, -math.log(19.0), 0.95, id="segments-less-sure"),
+        pytest.param(0.6, -math.log(19.0), 0.6, id="flights-less-sure"),
+        pytest.param(0.999, 0.0, 0.5, id="segments-undecided"),
+        pytest.param(1.0, math.log(9.0), 0.1, id="segments-against"),
+        pytest.param(1.0, -900.0, 1.0, id="both-certain"),
+        pytest.param(1.0, 900.0, 0.0, id="segments-certain-against"),
+    ],
+)
+def test_probability_of_an_effect_is_the_smaller_one_of_both_fits(
+    by_flights: float, nats: float | None, expected: float
+) -> None:
+    asked = {} if nats is None else {"drag": nats}
+    decision = decide(
+        build_inputs(("drag",), inclusion_probability={"drag": by_flights}, segment_disagreement_nats=asked)
+    )
+    assert decision.probabilities == pytest.approx({"drag": expected})
+
+
+def test_probabilities_are_those_of_the_selected_effects_each_with_its_own_nats() -> None:
+    decision = decide(
+        build_inputs(
+            ("drag", "gain"),
+            inclusion_probability={"drag": 0.98, "gain": 0.97, "lag": 0.3},
+            segment_disagreement_nats={"drag": -math.log(3.0), "gain": -50.0},
+        )
+    )
+    assert decision.probabilities == pytest.approx({"drag": 0.75, "gain": 0.97})
+    assert decision.possible == {"lag": 0.3}
+    assert decide(build_inputs()).probabilities == {}
+
+
+@pytest.mark.parametrize(
+    ("nats", "expected"),
+    [
+        pytest.param(-RULES.tie_nats * ABOVE, Verdict.TRACED, id="just-confirmed"),
+        pytest.param(-RULES.tie_nats * BELOW, Verdict.UNDECIDED, id="just-not-confirmed"),
+    ],
+)
+def test_verdict_needs_each_effect_confirmed_by_segments_that_were_asked(
+    nats: float, expected: Verdict
+) -> None:
+    changes = {"segment_disagreement_nats": {"drag": -50.0, "gain": nats}}
+    assert verdict(("drag", "gain"), **changes) is expected
 
 
 # The order of findings.

@@ -12,14 +12,15 @@ import pytest
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.phi import INTEGRAL
-from trimtab.host.trace import uncertainty
+from trimtab.host.trace import evidence, uncertainty
 from trimtab.host.trace.data.signals import FlightData
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit import fit as refine
 from trimtab.host.trace.flight_fit import loop as closed
 from trimtab.host.trace.flight_fit import recording as recordings
 from trimtab.host.trace.flight_fit import whitening
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
-from trimtab.host.trace.flight_fit.whitening import CHANNELS
+from trimtab.host.trace.flight_fit.whitening import CHANNELS, WINDOWS
 from trimtab.host.trace.parameters import ParameterSpace, space
 
 DATA = Path(__file__).parents[3] / "data"
@@ -179,6 +180,41 @@ def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: ClosedLoo
     drag, linear, nothing = (fit.log_evidence for fit in fits)
     assert drag - linear > 5.0
     assert drag - nothing > 5.0
+
+
+@pytest.mark.parametrize(
+    ("order", "divisor"),
+    [
+        pytest.param(1, RULES.temper, id="one-window"),
+        pytest.param(len(WINDOWS) - 1, RULES.temper, id="all-but-one"),
+        pytest.param(len(WINDOWS), 1.0, id="all-windows"),
+    ],
+)
+def test_search_is_tempered_unless_the_data_determines_all_windows(order: int, divisor: float) -> None:
+    assert refine.search_temper(order) == divisor
+
+
+@pytest.mark.parametrize("order", [len(WINDOWS) - 1, len(WINDOWS)])
+def test_fit_counts_tempered_information_in_estimate_and_evidence(
+    library: ParameterSpace, loop: ClosedLoop, order: int
+) -> None:
+    """Computed again from the residuals that the fit is linearised at."""
+    divisor = refine.search_temper(order)
+    made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
+    fit = refine.fit_closed_loop(made, ("quadratic-drag",), np.zeros(len(library.columns)), order)
+    base = [r[0] for r in made.residuals(fit.at[:, None])]
+    slopes = made.slopes(fit.at, fit.effects, base)
+    grams = refine.whitened_grams(fit.whitening, made, base, slopes) / divisor
+    np.testing.assert_allclose(fit.grams, grams, rtol=1e-6, atol=1e-9 * np.abs(grams).max())
+    prior = refine.prior_of(library)
+    total = fit.grams.sum(0)[1:, 1:] + np.diag(prior.precision(fit.effects))
+    variance = np.diag(np.linalg.inv(total))
+    free = ~library.at_bound(fit.theta_scaled)
+    np.testing.assert_allclose(np.diag(fit.covariance)[free], variance[free], rtol=1e-3)
+    bins = sum(len(whitening.usable_bins(known, whitening.span_of(order))) for known in made.known)
+    log_det = bins * np.linalg.slogdet(fit.whitening.innovation)[1] / divisor
+    (nats,) = evidence.log_evidences(grams.sum(0), log_det, fit.at, prior, [fit.effects], library.bounds)
+    assert fit.log_evidence == pytest.approx(nats, rel=1e-6)
 
 
 def test_recording_predicts_what_telemetry_records_of_a_motion(loop: ClosedLoop) -> None:
