@@ -371,8 +371,18 @@ def test_an_alias_with_a_form_is_fitted_if_only_its_form_may_decide(
     ],
 )
 def test_an_effect_with_a_form_takes_the_place_of_its_aliases(selected: Names, expected: list[Names]) -> None:
-    every = [("drag",), ("wind",), ("lag",), ("gain",), ("drag", "lag"), ("drag", "lift"), ("drag", "wind")]
-    screened = dict.fromkeys([*every, ("lag", "wind"), ("lift", "wind"), ("gain", "lag"), ()], 0.0)
+    every: list[Names] = [
+        ("drag",),
+        ("wind",),
+        ("lag",),
+        ("gain",),
+        ("drag", "lag"),
+        ("drag", "lift"),
+        ("drag", "wind"),
+    ]
+    screened: dict[Names, float] = dict.fromkeys(
+        [*every, ("lag", "wind"), ("lift", "wind"), ("gain", "lag"), ()], 0.0
+    )
     assert substitutions(selected, screened, 100.0) == expected
 
 
