@@ -237,12 +237,23 @@ def present_effects(
 
 
 def without_contradicted(result: SearchResult[FlightFit], absent: Collection[str]) -> SearchResult[FlightFit]:
-    """Return the result with at most RULES.open_probability for effects that the refit found `absent`."""
+    """Return the result with at most RULES.open_probability for effects that the refit found `absent`.
+
+    The sets with such an effect share that probability, those without it the rest.
+    """
+    weights = dict(result.posterior_weights)
+    for name in absent:
+        with_it = sum(weight for names, weight in weights.items() if name in names)
+        without = sum(weights.values()) - with_it
+        odds = RULES.open_probability / (1.0 - RULES.open_probability)
+        if 0.0 < odds * without < with_it:
+            factor = odds * without / with_it
+            weights = {n: w * factor if name in n else w for n, w in weights.items()}
     probability = {
         name: min(p, RULES.open_probability) if name in absent else p
         for name, p in result.inclusion_probability.items()
     }
-    return replace(result, inclusion_probability=probability)
+    return replace(result, inclusion_probability=probability, posterior_weights=weights)
 
 
 def without_payload_artefacts(

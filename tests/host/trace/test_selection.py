@@ -195,3 +195,25 @@ def test_without_contradicted_caps_the_probability_of_what_the_refit_does_not_fi
     capped = without_contradicted(outcome, absent)
     assert capped.inclusion_probability == expected
     assert capped == replace(outcome, inclusion_probability=expected)
+
+
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
+        pytest.param({(): 0.02, ("drag",): 0.98}, {(): 0.5, ("drag",): 0.5}, id="only-effect"),
+        pytest.param({(): 0.8, ("drag",): 0.2}, {(): 0.8, ("drag",): 0.2}, id="improbable-already"),
+        pytest.param({("drag",): 1.0}, {("drag",): 1.0}, id="no-set-without-it"),
+        pytest.param(
+            {("gain",): 0.1, ("drag", "gain"): 0.6, ("drag",): 0.3},
+            {("gain",): 0.5, ("drag", "gain"): 1.0 / 3.0, ("drag",): 1.0 / 6.0},
+            id="sets-with-it-share",
+        ),
+    ],
+)
+def test_without_contradicted_leaves_sets_with_the_effect_no_more_than_half(
+    weights: dict[Names, float], expected: dict[Names, float]
+) -> None:
+    outcome = replace(build_search_result(build_closed_fit(("drag",))), posterior_weights=weights)
+    found = without_contradicted(outcome, {"drag"}).posterior_weights
+    total = sum(found.values())
+    assert {names: weight / total for names, weight in found.items()} == pytest.approx(expected)
