@@ -51,9 +51,9 @@ EFFECT = Effect(
         form("rotor_share", 0.5, 0.0, 1.0, "share of the drag across the rotors that grows with rotor speed"),
         form(
             "height_m",
-            0.02,
-            -0.1,
-            0.1,
+            0.01,
+            -0.03,
+            0.03,
             "height of the drag's line of action over the centre of mass",
             unit="m",
         ),

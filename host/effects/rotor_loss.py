@@ -8,19 +8,25 @@ from trimtab.host.effects.unknowns import THRUST, TORQUE
 
 
 def _factors(ops, theta, ctx):
-    return tuple(
-        1.0 - loss * (1.0 + theta[4] * _excess_speed(ops, thrust, ctx))
-        for loss, thrust in zip(theta, ctx.thrust, strict=False)
-    )
+    return tuple(1.0 - lost for lost in _lost(ops, theta, ctx))
 
 
 def _torque(ops, theta, ctx):
     # The nominal model lowers the drag torque by the same share as the thrust, of which ctx has the rest.
+    lost = _lost(ops, theta, ctx)
     yaw = sum(
-        spin * loss / (1.0 - loss) * thrust
-        for spin, loss, thrust in zip(ctx.spin_signs, theta, ctx.thrust, strict=False)
+        spin * share / (1.0 - share) * thrust
+        for spin, share, thrust in zip(ctx.spin_signs, lost, ctx.thrust, strict=True)
     )
     return (0.0, 0.0, (1.0 - theta[5]) * ctx.torque_per_thrust_m * yaw)
+
+
+def _lost(ops, theta, ctx):
+    """Return the share of its thrust that each rotor loses."""
+    return [
+        ops.minimum(loss * (1.0 + theta[4] * _excess_speed(ops, thrust, ctx)), _MOST_LOST)
+        for loss, thrust in zip(theta[:4], ctx.thrust, strict=True)
+    ]
 
 
 def _excess_speed(ops, thrust, ctx):
@@ -31,6 +37,7 @@ def _feedforward(theta):
     return {"gain": 1.0 - 0.25 * sum(theta[:4])}
 
 
+_MOST_LOST = 0.95
 _FLOOR = 1e-9  # keeps the derivative of the square root finite at zero thrust
 
 
