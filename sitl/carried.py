@@ -5,13 +5,24 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from typing import Any
 
-from trimtab.sitl.surroundings import GRAVITY_M_S2, battery_slide
+from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M, battery_slide
 from trimtab.sitl.vectors import Scalar, Vector, cross, into_body
 
+START_DEPTH = 0.4
+"""Greatest depth of discharge at the start of a flight if the battery discharges."""
+_LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 _GIMBAL_STOP = 0.6  # greatest turn of a camera's gimbal, as the sine of the vehicle's tilt
+
+
+def payload_at_rest(p_ned: Sequence[float], line_m: float) -> list[float]:
+    """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
+    x, y, z = p_ned
+    if z + line_m < 0.0:
+        return [x, y, z + line_m + LINE_STRETCH_M]
+    return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
 
 
 def battery(

@@ -11,15 +11,15 @@ from typing import Any, Protocol
 
 from trimtab.host.codegen import CompiledEngine, function_engine, sx_function
 from trimtab.host.vehicle import Vehicle
+from trimtab.sitl.carried import START_DEPTH, payload_at_rest
 from trimtab.sitl.draw import World
 from trimtab.sitl.gusts import Gusts
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
 from trimtab.sitl.plant_model import INPUTS, OUTPUTS, PARAMETERS, PARTS, STATE, TICK_S, Block, tick
 from trimtab.sitl.seeds import Purpose, flight_generator
-from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M
+from trimtab.sitl.surroundings import GRAVITY_M_S2
 from trimtab.sitl.vectors import rotation
 
-_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight if the battery discharges
 _NOISE_BLOCK = 1024
 _SPEEDS = slice(13, 17)
 _COMMANDS_MAX = 4096  # numbers that are kept before all but the latest are dropped
@@ -30,7 +30,6 @@ _ENGINE_INPUTS = (
     Block("delay_parts", 4),  # place of each motor's delay between the two ticks
 )
 _DELAY_SPREAD = (0.05, -0.03, -0.05, 0.03)  # relative spread of the motor controllers' delays
-_LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 
 
 class PlantPort(Protocol):
@@ -73,7 +72,7 @@ class Plant:
         self._gusts = Gusts(world.turbulence, flight_generator(world.seed, flight, Purpose.TURBULENCE))
         self._charge_used_c = 0.0
         if "battery-sag" in parts:
-            depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, _START_DEPTH)
+            depth = flight_generator(world.seed, flight, Purpose.BATTERY).uniform(0.0, START_DEPTH)
             self._charge_used_c = depth * values["battery"][3]
         self._phases = flight_generator(world.seed, flight, Purpose.PHASES).random(2).tolist()
         self._com_frd = values["com_frd"]
@@ -109,7 +108,7 @@ class Plant:
             "gust": self._gusts.start(),
             "acceleration_ned": [0.0] * 3,
             "turning_frd": [0.0] * 3,
-            "payload_ned": [*self._hanging(p_ned), 0.0, 0.0, 0.0],
+            "payload_ned": [*payload_at_rest(p_ned, self._line_m), 0.0, 0.0, 0.0],
             "slide": [0.0, 0.0],
             "clock": [0.0, *self._phases],
         }
@@ -138,13 +137,6 @@ class Plant:
     def rotor_speeds(self) -> list[float]:
         """Return the speeds of the rotors (4,), over that at the greatest thrust."""
         return self.state[_SPEEDS].tolist()
-
-    def _hanging(self, p_ned: Sequence[float]) -> list[float]:
-        """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
-        x, y, z = p_ned
-        if z + self._line_m < 0.0:
-            return [x, y, z + self._line_m + LINE_STRETCH_M]
-        return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
 
     def _draw_noise(self) -> None:
         self._block = self._gusts.noise(_NOISE_BLOCK).ravel().data

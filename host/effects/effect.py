@@ -83,9 +83,15 @@ class Context(NamedTuple):
     torque_per_thrust_m: float = 0.0
     memory: Sequence[Scalar] = ()
 
-    def excess_speed(self, ops: Ops) -> Scalar:
-        """Return the rotor speed over that at hover, minus 1, from the collective thrust."""
-        return ops.sqrt(ops.maximum(self.collective_n, 0.0) / (4.0 * self.hover_n) + _FLOOR) - 1.0
+    def excess_speed(self, ops: Ops, thrust_n: Scalar | None = None) -> Scalar:
+        """Return the rotor speed over that at hover, minus 1.
+
+        thrust_n: thrust of one rotor; None for the mean of all rotors.
+        """
+        thrust, hover = (
+            (self.collective_n, 4.0 * self.hover_n) if thrust_n is None else (thrust_n, self.hover_n)
+        )
+        return ops.sqrt(ops.maximum(thrust, 0.0) / hover + _FLOOR) - 1.0
 
 
 @dataclass(frozen=True, kw_only=True)

@@ -24,13 +24,9 @@ def _torque(ops, theta, ctx):
 def _lost(ops, theta, ctx):
     """Return the share of its thrust that each rotor loses."""
     return [
-        ops.minimum(loss * (1.0 + theta[4] * _excess_speed(ops, thrust, ctx)), _MOST_LOST)
+        ops.minimum(loss * (1.0 + theta[4] * ctx.excess_speed(ops, thrust)), _MOST_LOST)
         for loss, thrust in zip(theta[:4], ctx.thrust, strict=True)
     ]
-
-
-def _excess_speed(ops, thrust, ctx):
-    return ops.sqrt(ops.maximum(thrust, 0.0) / ctx.hover_n + _FLOOR) - 1.0
 
 
 def _feedforward(theta):
@@ -38,7 +34,6 @@ def _feedforward(theta):
 
 
 _MOST_LOST = 0.95
-_FLOOR = 1e-9  # keeps the derivative of the square root finite at zero thrust
 
 
 def _rotor(number: int) -> Parameter:

@@ -115,7 +115,8 @@ def model_of(
         }
     covariance = None
     if added:
-        kept = [i for i, c in enumerate(space.columns) if c.key in {**effects, **adjustments}[c.owner]]
+        held = {**effects, **adjustments}
+        kept = [i for i, c in enumerate(space.columns) if c.key in held[c.owner]]
         scaled = diagnosis.selected.covariance * np.outer(space.scale, space.scale)
         scaled = scaled[np.ix_(kept, kept)]
         covariance = Covariance(

@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -51,13 +52,19 @@ class Prior:
     nuisance_sigma: Annotated[np.ndarray, "nuisances"]
     forms: dict[str, tuple[int, ...]] = field(default_factory=dict)
 
+    @cached_property
+    def _without_forms(self) -> Annotated[np.ndarray, "parameters"]:
+        """Standard deviations, scaled, if no effect is selected: every form is fixed."""
+        sigma = self.spike.copy()
+        sigma[[column for columns in self.forms.values() for column in columns]] = _FIXED
+        return sigma
+
     def precision(self, selected: Sequence[str]) -> Annotated[np.ndarray, "parameters"]:
         """Return the prior precision, scaled, if the effects `selected` are in the model."""
-        sigma = self.spike.copy()
-        fixed = {column for columns in self.forms.values() for column in columns}
-        fixed -= {column for name in selected for column in self.forms.get(name, ())}
-        sigma[list(fixed)] = _FIXED
+        sigma = self._without_forms.copy()
         for name in selected:
+            for column in self.forms.get(name, ()):
+                sigma[column] = self.spike[column]
             for column in self.groups[name]:
                 sigma[column] = max(RULES.slab_sigma, sigma[column])
         return 1.0 / sigma**2

@@ -128,11 +128,12 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
             break
         current = best
     selected, scores = _select(fitter, fits)
-    for names in _underrated_substitutions(fitter, selected, scores):
-        if names not in fits:
-            fits[names] = fitter.fit(names, selected)
-            on_progress(f"{', '.join(names)} fitted")
-    selected, scores = _select(fitter, fits)
+    underrated = [n for n in _underrated_substitutions(fitter, selected, scores) if n not in fits]
+    for names in underrated:
+        fits[names] = fitter.fit(names, selected)
+        on_progress(f"{', '.join(names)} fitted")
+    if underrated:
+        selected, scores = _select(fitter, fits)
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
         promising = most_probable(scores)
@@ -168,9 +169,7 @@ def _underrated_substitutions(fitter: Fitter[F], selected: F, scores: Mapping[Na
     The linearisation does not contain the form of an effect that is absent (`ParameterSpace.forms`), so it
     underrates that effect. scores: of the sets near the selected one, and of the empty set.
     """
-    space, score = fitter.space, fitter.scorers(selected)[-1]
-    gained = selected.log_evidence - scores[()]
-    margin = max(RULES.worth_fitting_nats, RULES.form_share * gained)
+    space = fitter.space
     trials: list[Names] = []
     for name in space.candidates:
         replaced = [other for other in selected.effects if space.are_aliases(name, other)]
@@ -183,6 +182,8 @@ def _underrated_substitutions(fitter: Fitter[F], selected: F, scores: Mapping[Na
     trials = sorted(set(trials))
     if not trials:
         return []
+    margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
+    score = fitter.scorers(selected)[-1]
     shift = selected.log_evidence - score([selected.effects])[0]
     found = zip(trials, score(trials), strict=True)
     return [names for names, value in found if value + shift > selected.log_evidence - margin]

@@ -67,12 +67,7 @@ def with_undetectable(
     ]
     extended: dict[str, dict[str, float]] = {}
     for name, others in aliases.items():
-        effect = space.effect(name)
-        known = [
-            other
-            for other in undetectable
-            if other in effect.aliases or effect.name in space.effects[other].aliases
-        ]
+        known = [other for other in undetectable if space.are_aliases(name, other)]
         open_ones = {other: rules.open_probability for other in known if not space.effects[other].one_of}
         extended[name] = {**open_ones, **others}
     return extended
@@ -91,7 +86,7 @@ def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> di
         for other in aliases:
             second = space.effect(other)
             coupled = second.name in effect.requires_any or effect.name in second.requires_any
-            if not coupled and (second.name in effect.aliases or effect.name in second.aliases):
+            if not coupled and space.are_aliases(name, other):
                 extended[name][other] = rules.open_probability
     return extended
 

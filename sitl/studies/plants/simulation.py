@@ -20,14 +20,14 @@ import numpy as np
 from trimtab.host.codegen import CompiledEngine, sx_function
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
-from trimtab.sitl.carried import battery
+from trimtab.sitl.carried import START_DEPTH, battery, payload_at_rest
 from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.gusts import Gusts
 from trimtab.sitl.plant_constants import SINK_M, plant_parameters
 from trimtab.sitl.plant_model import TICK_S, Block, cut, next_gust, origin
 from trimtab.sitl.rotors import ground_gain
 from trimtab.sitl.studies.plants import PLANTS
-from trimtab.sitl.surroundings import GRAVITY_M_S2, LINE_STRETCH_M, floor, payload
+from trimtab.sitl.surroundings import GRAVITY_M_S2, floor, payload
 from trimtab.sitl.vectors import Scalar, Vector, add, ahead, cross, dot, into_body, into_world, rotation, unit
 from trimtab.sitl.world import load_world
 
@@ -40,8 +40,6 @@ BODY = (Block("p_ned", 3), Block("v_ned", 3), Block("q_ned_frd", 4), Block("rate
 _STATE = (*BODY, Block("charge_used_c", 1), Block("gust", 6), Block("payload_ned", 6))
 _INPUTS = (Block("state", sum(size for _, size in _STATE)), Block("command", 4), Block("noise", 6))
 _OUTPUTS = (_INPUTS[0], Block("pose", 10), Block("sensed", 7))
-_START_DEPTH = 0.4  # greatest depth of discharge at the start of a flight if the battery discharges
-_LYING_AT_M = (-0.12, 0.05)  # north and east offset of a payload on the floor from the vehicle
 _NOISE_BLOCK = 1024
 
 
@@ -141,7 +139,7 @@ class SteppedPlant:
         self._engine = CompiledEngine(sx_function(tick, _INPUTS, _OUTPUTS, "plant"), _INPUTS, _OUTPUTS, "vm")
         self._com, self._line_m, self._full_v = com, P["payload"][1], P["battery"][0]
         rng = np.random.default_rng(seed)
-        depth = rng.uniform(0.0, _START_DEPTH) if "battery-sag" in parts else 0.0
+        depth = rng.uniform(0.0, START_DEPTH) if "battery-sag" in parts else 0.0
         self._charge_used_c = depth * P["battery"][3]
         self._gusts = Gusts(world.turbulence, rng)
         delay = world.value("actuation-delay", "delay_s") / TICK_S
@@ -154,7 +152,7 @@ class SteppedPlant:
         if p_ned[2] == 0.0:
             p[2] += SINK_M
         gusts = self._gusts.start()
-        hanging = [*self._hanging(p_ned), 0.0, 0.0, 0.0]
+        hanging = [*payload_at_rest(p_ned, self._line_m), 0.0, 0.0, 0.0]
         body = [*p, 0.0, 0.0, 0.0, *q_ned_frd, *[0.0] * 7]
         out = self._engine.outputs
         out["state"][:] = _doubles([*body, self._charge_used_c, *gusts, *hanging])
@@ -180,13 +178,6 @@ class SteppedPlant:
         """Return p_ned, v_ned, q_ned_frd, rate_frd, specific_force_frd and battery_v."""
         pose, sensed = self._engine.outputs["pose"], self._engine.outputs["sensed"]
         return pose[0:3], pose[3:6], pose[6:10], sensed[0:3], sensed[3:6], sensed[6]
-
-    def _hanging(self, p_ned: Sequence[float]) -> list[float]:
-        """Return the initial position of a payload: under the vehicle, or on the floor beside it."""
-        x, y, z = p_ned
-        if z + self._line_m < 0.0:
-            return [x, y, z + self._line_m + LINE_STRETCH_M]
-        return [x + _LYING_AT_M[0], y + _LYING_AT_M[1], 0.0]
 
 
 def flipped(vector: Sequence[Scalar]) -> list[Scalar]:
