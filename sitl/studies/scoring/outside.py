@@ -26,6 +26,9 @@ MOST_EFFECTS = 3
 _ITERATIONS = 3
 """Gauss-Newton iterations for each set of effects."""
 
+_LINE = (1.0, 0.5, 0.25, 0.1)
+"""Step lengths of the line search, as shares of the Gauss-Newton step."""
+
 Scaled = Annotated[np.ndarray, "parameters"]
 
 
@@ -68,7 +71,7 @@ def outside_sigma(
     while True:
         gram = difference.gram(names, theta_scaled)
         for _ in range(_ITERATIONS):
-            theta_scaled = difference.minimum(gram, names)[1]
+            theta_scaled = difference.best_along(gram, names, theta_scaled)
             gram = difference.gram(names, theta_scaled)
         least = min(least, difference.minimum(gram, names)[0])
         if len(names) == MOST_EFFECTS:
@@ -102,6 +105,24 @@ class _Difference:
             columns = whitened(self._white, np.concatenate([moved[None], S]), known)
             total += self._weight * columns @ columns.T
         return total
+
+    def best_along(self, gram: np.ndarray, names: Sequence[str], theta_scaled: Scaled) -> Scaled:
+        """Return the best point on the way from theta_scaled to the minimum of `gram`, by full roll-outs.
+
+        A payload on a line, say, may swing through the vehicle if the linearisation is followed too far.
+        """
+        step = self.minimum(gram, names)[1] - theta_scaled
+        points = np.column_stack([theta_scaled + share * step for share in (0.0, *_LINE)])
+        precision = self._prior.precision(names)
+        cost = (precision[:, None] * (points - self._centre[:, None]) ** 2).sum(0)
+        for index, (rolled, offset) in enumerate(
+            zip(self._loop.residuals(points), self._offset, strict=True)
+        ):
+            bins = min(rolled.shape[1], len(offset))
+            known = self._loop.known[index][:bins] & self._known[index][:bins]
+            columns = whitened(self._white, rolled[:, :bins] - offset[:bins], known)
+            cost += self._weight * np.square(columns).sum(1)
+        return points[:, np.argmin(np.where(np.isfinite(cost), cost, np.inf))]
 
     def minimum(self, gram: np.ndarray, names: Sequence[str]) -> tuple[float, Scaled]:
         """Return the least square of residual and prior with `names` free, and the parameters there."""
