@@ -30,8 +30,12 @@ measurement. [Studies](../studies/studies.md#calibrate) has the latest one.
 
 def page(rows: Sequence[RuleRow]) -> str:
     """Return the page as Markdown: one line for each rule."""
+
+    def shown(value: float | tuple[float, ...]) -> str:
+        return ", ".join(f"{each:.4g}" for each in (value if isinstance(value, tuple) else (value,)))
+
     lines = [
-        f"| `{row.name}` | {row.value:.4g} | {row.unit} | {row.meaning} | {row.source} |" for row in rows
+        f"| `{row.name}` | {shown(row.value)} | {row.unit} | {row.meaning} | {row.source} |" for row in rows
     ]
     return _HEAD + "\n".join(lines) + "\n"
 

@@ -36,6 +36,7 @@ EFFECT = Effect(
     separated_by={"torque-bias": "balance the vehicle on an edge"},
     observable="changes of thrust, as in climbs and fast turns; in hover it looks like a torque bias",
     replaced_by=(TORQUE,),
+    changes_hover=True,
     closing=Closing(
         model="a torque proportional to the collective thrust",
         planner="if the model has no drag, prefers paths on which the thrust, and with it the torque, "

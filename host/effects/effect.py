@@ -183,6 +183,12 @@ class Effect:
     one_of
         Whether only one of the parameters may leave neutral, as for one rotor of four. Each parameter is then
         a candidate.
+    changes_hover
+        Whether the effect may change from one day to the next and then shows in the mean of a hover. It is a
+        candidate of comparisons of hovers (`trimtab.host.trace.hover`), even if it is an adjustment.
+    comes_with
+        Names of effects that a change of this one brings: an attached mass moves the centre of mass. In a
+        comparison of hovers they are one cause.
     form_torque
         Whether `torque_frd` is 0 at the neutral form (`Parameter.form`). No plan avoids such a torque.
     memory
@@ -243,6 +249,8 @@ class Effect:
     freed_by: tuple[str, ...] = ()
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
+    changes_hover: bool = False
+    comes_with: tuple[str, ...] = ()
     form_torque: bool = False
     memory: int = 0
     starts: tuple[Theta, ...] = ()

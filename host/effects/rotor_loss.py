@@ -73,6 +73,7 @@ EFFECT = Effect(
     aliases=("com-offset", "torque-bias", "thrust-gain"),
     observable="roll, pitch and yaw torque in a fixed ratio; an offset of the centre of mass has no yaw part",
     replaced_by=(THRUST, TORQUE),
+    changes_hover=True,
     closing=Closing(
         model="the thrust of one rotor is multiplied by a constant",
         planner="if the model has no drag, prefers paths on which the thrust, and with it the loss, "

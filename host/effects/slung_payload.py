@@ -124,6 +124,7 @@ EFFECT = Effect(
     ),
     aliases=("mass", "thrust-gain"),
     observable="changes of horizontal speed within a period of the pendulum; in hover it looks like mass",
+    changes_hover=True,
     closing=Closing(
         model="a pendulum under the vehicle, with position and velocity of the payload as states",
         planner="treats the weight as a constant force; the swing is ignored",

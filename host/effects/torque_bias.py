@@ -41,6 +41,7 @@ EFFECT = Effect(
     aliases=("com-offset", "rotor-loss"),
     observable="flight with changing thrust; in hover it looks like an offset of the centre of mass",
     replaced_by=(TORQUE,),
+    changes_hover=True,
     closing=Closing(
         model="a constant torque, of which a share may grow with the thrust",
         planner="if the model has no drag, prefers paths on which the share that grows with the thrust "

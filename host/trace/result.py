@@ -14,6 +14,7 @@ from trimtab.host.trace.data.cutting import SEGMENT_S
 from trimtab.host.trace.data.logs import Drive
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import Code, Finding, Verdict
+from trimtab.host.trace.hover.fit import HoverDiagnosis
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors, rmse
@@ -120,7 +121,7 @@ class Trace:
     next_flight: NextFlight | None
     model: Model
     space: ParameterSpace
-    diagnosis: Diagnosis
+    diagnosis: Diagnosis | HoverDiagnosis
     residual: UnexplainedResidual
     audits: tuple[Audit, ...]
     description: Description | None

@@ -109,6 +109,10 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.SEGMENTS_DISAGREE: lambda f: (
         f"whole flights support {', '.join(f.subject)}, but segments do not; fly more"
     ),
+    Code.ONLY_HOVER: lambda _: (
+        "without a body rate in the logs, only what the rotors balance in the mean of a flight was compared; "
+        "weigh the vehicle, change the propeller of the rotor in question, or log the gyro, and fly again"
+    ),
     Code.ALIAS: lambda f: f"{f.subject[0]} may be {f.subject[1]} ({f.value:.2f})",
     Code.EXACT_ALIAS: lambda f: f"no flight can distinguish {f.subject[0]} from {f.subject[1]}",
     Code.POSSIBLE: lambda f: f"{f.subject[0]} is not excluded ({f.value:.2f})",

@@ -37,6 +37,7 @@ class Code(StrEnum):
     EXCESS_TORQUE = "excess-torque"
     BETTER_BUT_INADMISSIBLE = "better-but-inadmissible"
     SEGMENTS_DISAGREE = "segments-disagree"
+    ONLY_HOVER = "only-hover"
     # Effects that the data does not exclude or would not show.
     ALIAS = "alias"
     EXACT_ALIAS = "exact-alias"
@@ -100,6 +101,7 @@ DOUBTS = frozenset(
         Code.EXCESS_TORQUE,
         Code.BETTER_BUT_INADMISSIBLE,
         Code.SEGMENTS_DISAGREE,
+        Code.ONLY_HOVER,
     }
 )
 """Findings on shortcomings of the flights as a whole; the JSON's `doubts` are their sentences."""

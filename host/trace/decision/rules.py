@@ -325,6 +325,45 @@ class Rules:
         0.995, "1", "Mean resultant length of the heading above which all flights had one heading."
     )
 
+    # Comparison of hovers.
+    hover_block_s: float = _rule(2.0, "s", "Length of the blocks whose scatter gives the error of a mean.")
+    hover_margin_s: float = _rule(
+        0.5, "s", "Time after take-off, before landing and around gaps that the mean leaves out."
+    )
+    hover_min_s: float = _rule(4.0, "s", "Least time in the air of a log.")
+    hover_floor: float = _rule(
+        0.003, "1", "Error of the mean balance, over the weight, that no scatter shows."
+    )
+    hover_scatters: tuple[float, ...] = _rule(
+        (0.25, 0.5, 1.0),
+        "1",
+        "Factors, equally probable, on the error of a mean that the blocks show. Flights of one "
+        "programme have much of their scatter in common.",
+    )
+    change_odds_against: float = _rule(
+        10.0,
+        "1",
+        "Prior odds against each cause. They are lower than those of a trace, since the flights "
+        "were compared for a reason.",
+    )
+    session_thrust_sigmas: tuple[float, ...] = _rule(
+        (0.005, 0.01, 0.02, 0.05),
+        "1",
+        "Standard deviations, equally probable, of the thrust scale from log to log: battery, "
+        "temperature, propellers. The scatter of the baseline weighs them.",
+    )
+    rotor_tilt_sigma_rad: float = _rule(
+        math.radians(2.0),
+        "rad",
+        "By how much the axis of a rotor tilts each time that the vehicle is handled. The rotor "
+        "then turns the vehicle in yaw, and flights cannot tell why.",
+    )
+    thrust_curve_linear: tuple[float, ...] = _rule(
+        (0.4, 0.6, 0.8, 1.0),
+        "1",
+        "Linear shares of an unknown thrust curve, equally probable.",
+    )
+
     @property
     def tie_nats(self) -> float:
         """Difference of log evidence, in nats, below which two sets count as equally good."""
@@ -354,7 +393,7 @@ class RuleRow(NamedTuple):
     """One row of the table: name, value, unit, meaning, and where the value comes from."""
 
     name: str
-    value: float
+    value: float | tuple[float, ...]
     unit: str
     meaning: str
     source: str

@@ -105,6 +105,11 @@ class UnexplainedResidual:
     flight_repeat: FlightRepeat | None = None
 
 
+_QUIET = ChannelResidual(repeat=0.0, z_score=0.0, line=NO_LINE)
+NOTHING_UNEXPLAINED = UnexplainedResidual(force=_QUIET, torque=_QUIET, pairs=0)
+"""The residual where none was computed."""
+
+
 def unexplained_residual(
     w: Annotated[np.ndarray, "segments bins 6"],
     data: Segments,

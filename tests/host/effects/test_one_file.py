@@ -33,6 +33,7 @@ from trimtab.host.trace.next_flight.separation import propose
 from trimtab.host.trace.parameters import Column, ParameterSpace, space
 from trimtab.host.trace.run import run
 from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.selection import Diagnosis
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.scoring.metrics import FAMILIES
 from trimtab.sitl.studies.scoring.names import collapsed
@@ -335,13 +336,15 @@ def test_separating_measurement_may_be_stated_by_either_effect(
     data = read_flight(DATA / "a1.mcap")
     known = {name: effects[name] for name in ("motor-lag", "pose-age", "wind", "frame-tilt", "linear-drag")}
     result = run([data], [], known)
+    assert isinstance(result.diagnosis, Diagnosis)
+    selected = result.diagnosis.selected
     form = SegmentModel(data.vehicle, result.space, dt_s=0.02, in_newton=False, rate_driven=False)
     t_s = np.arange(0.0, 6.0, 0.02)
     flat = np.zeros((14, len(t_s)))
     flat[2] = -1.5
     hover = Manoeuvre(route="hover", total_time_s=6.0, slowed=False, flat=flat)
     proposals = {
-        pair: propose(form, result.diagnosis.selected, *pair, [hover])
+        pair: propose(form, selected, *pair, [hover])
         for pair in (("motor-lag", "pose-age"), ("frame-tilt", "wind"), ("linear-drag", "wind"))
     }
     assert {pair: flight and flight.known_measurement for pair, flight in proposals.items()} == {

@@ -60,6 +60,14 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "WINDOWS": "basis of the autoregression",
         "_TRIANGLES": "size of a store, which changes results by rounding alone",
     },
+    "hover/balance.py": {
+        "CHANNELS": "size of a balance",
+        "_STEP": "step of the difference quotients",
+    },
+    "hover/fit.py": {
+        "_OFFSET": "width of a prior that leaves an offset free",
+        "_ITERATIONS": "number of Gauss-Newton iterations",
+    },
     "next_flight/information.py": {
         "_ROLLED": "number of segments of a manoeuvre that are rolled out",
         "_TURNS": "number of iterations that keep a manoeuvre on its path",
@@ -99,6 +107,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     },
     "residual/unexplained.py": {
         "_FFT": "length of the Fourier transform",
+        "_QUIET": "a residual of nothing",
+        "NOTHING_UNEXPLAINED": "the same of both channels",
     },
     "search.py": {
         "BEAM": "width of the beam search",

@@ -94,6 +94,7 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
             Finding(code=Code.SEGMENTS_DISAGREE, value=9.0, bound=3.0, unit="nats", subject=("drag", "gain")),
             ["drag, gain", "segments"],
         ),
+        (Finding(code=Code.ONLY_HOVER), ["body rate", "weigh"]),
         (
             Finding(code=Code.ALIAS, value=0.256, bound=0.05, subject=("drag", "wind")),
             ["drag may be wind", "0.26"],

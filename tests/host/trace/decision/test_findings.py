@@ -87,4 +87,5 @@ def test_reasons_and_doubts_are_the_documented_codes() -> None:
         "excess-torque",
         "better-but-inadmissible",
         "segments-disagree",
+        "only-hover",
     }

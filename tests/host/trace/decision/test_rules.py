@@ -112,6 +112,16 @@ EXPECTED: Mapping[str, float] = {
     "leading_share": 0.35,
     "shown_slack_m": 0.1,
     "one_heading": 0.995,
+    # Comparison of hovers.
+    "hover_block_s": 2.0,
+    "hover_margin_s": 0.5,
+    "hover_min_s": 4.0,
+    "hover_floor": 0.003,
+    "hover_scatters": (0.25, 0.5, 1.0),
+    "change_odds_against": 10.0,
+    "session_thrust_sigmas": (0.005, 0.01, 0.02, 0.05),
+    "rotor_tilt_sigma_rad": 0.03490658503988659,
+    "thrust_curve_linear": (0.4, 0.6, 0.8, 1.0),
 }
 
 OUTSIDE_THE_TABLE: Mapping[ModuleType, Mapping[str, float]] = {

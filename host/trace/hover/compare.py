@@ -1,0 +1,219 @@
+"""The comparison of two sets of hovers, as a trace."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from trimtab.host.effects import Effect
+from trimtab.host.effects.unknowns import THRUST_CURVE
+from trimtab.host.log import Flight
+from trimtab.host.log.provenance import count_simulated
+from trimtab.host.models.model import Covariance, Model
+from trimtab.host.trace.data.audit import audit
+from trimtab.host.trace.data.logs import TraceData
+from trimtab.host.trace.decision.alternatives import aliases_of, possible_beside
+from trimtab.host.trace.decision.decide import hidden, is_null_open
+from trimtab.host.trace.decision.findings import Code, Finding, Verdict
+from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.hover.balance import balances
+from trimtab.host.trace.hover.fit import HoverDiagnosis, HoverFit, HoverFitter
+from trimtab.host.trace.hover.mean import hover_mean
+from trimtab.host.trace.parameters import ParameterSpace, space
+from trimtab.host.trace.residual.unexplained import NOTHING_UNEXPLAINED
+from trimtab.host.trace.result import Named, Trace, Value
+from trimtab.host.trace.search import SearchResult, most_probable, search
+from trimtab.host.trace.selection import detectability
+
+
+def compares_hovers(flights: Sequence[Flight]) -> bool:
+    """Return whether the logs are compared by their hovers: motor commands or thrusts, but no body rate."""
+    return all(
+        flight.control is None
+        and flight.recorded_inputs is not None
+        and flight.recorded_inputs.level != "reference"
+        and (flight.recorded_imu is None or flight.recorded_imu.gyro is None)
+        for flight in flights
+    )
+
+
+def compare(
+    logs: TraceData, effects: Mapping[str, Effect], baseline: int, provenance: Mapping[str, object] | None
+) -> Trace:
+    """Return what changed between the first `baseline` flights of `logs` and the others.
+
+    Raises LogsRefused for a log with too little time in the air.
+    """
+    vehicle = logs.vehicle
+    audits = [audit(data) for data in logs.flights]
+    means = [hover_mean(data, each) for data, each in zip(logs.flights, audits, strict=True)]
+    parameters = space(
+        vehicle,
+        {
+            name: replace(effect, adjustment=False, replaced_by=(), freed_by=())
+            for name, effect in effects.items()
+            if effect.changes_hover
+        },
+    )
+    shares = RULES.thrust_curve_linear if THRUST_CURVE in logs.unknown else vehicle.thrust_curve[:1]
+    fitter = HoverFitter(
+        vehicle=vehicle,
+        space=parameters,
+        curves=[balances(vehicle, parameters, means, baseline, share) for share in shares],
+        baseline=baseline,
+    )
+    found = search(fitter, fitter.fit(()))
+    selected = fitter.fit(most_probable(found.posterior_weights))
+    aliases, null_open = _alternatives(fitter, found, selected)
+    named = _named(parameters, found, selected, aliases)
+    possible = possible_beside(selected.effects, aliases, found.inclusion_probability, RULES)
+    verdict = _verdict(named, null_open)
+    sigmas = detectability(parameters, selected.gram, parameters.prior.precision(selected.effects))
+    return Trace(
+        verdict=verdict,
+        findings=(
+            Finding(code=Code.ONLY_HOVER),
+            *_open(aliases, possible),
+            *hidden(sigmas, selected.effects, parameters),
+        ),
+        effects=named,
+        possible=possible,
+        drive="inputs",
+        before=(),
+        after=(),
+        adjustments_only=(),
+        noise_floor={"position_rmse_m": None, "velocity_rmse_m_s": None},
+        next_flight=None,
+        model=_model(parameters, selected, logs, named, provenance).assessed(
+            verdict.value,
+            probabilities={**possible, **{each.name: each.probability for each in named}},
+            flights=0,
+            before_m=None,
+            after_m=None,
+        ),
+        space=parameters,
+        diagnosis=HoverDiagnosis(selected=selected, posterior_weights=found.posterior_weights),
+        residual=NOTHING_UNEXPLAINED,
+        audits=tuple(replace(each, used_s=mean.flying_s) for each, mean in zip(audits, means, strict=True)),
+        description=None,
+        unexplained=None,
+        simulated_flights=count_simulated(data.flight.metadata for data in logs.flights),
+    )
+
+
+def _alternatives(
+    fitter: HoverFitter, found: SearchResult[HoverFit], selected: HoverFit
+) -> tuple[dict[str, dict[str, float]], bool]:
+    """Return the aliases of each selected effect, and whether nothing may have changed.
+
+    Four numbers a log are few. So an alternative is open not only if the posterior says so, but whatever its
+    prior: another single cause in place of an effect, if it explains at least half of what the selected set
+    explains and its residual is as small within RULES.tie_nats. Such aliases get RULES.open_probability.
+    """
+    null = fitter.fit(())
+    bound = min(selected.square + 2.0 * RULES.tie_nats, 0.5 * (selected.square + null.square))
+    aliases = {
+        name: {other: p for other, p in others.items() if p > RULES.alias_probability}
+        for name, others in aliases_of(selected.effects, found.posterior_weights, fitter.space, RULES).items()
+    }
+    for name in selected.effects:
+        kept = set(selected.effects) - {name}
+        for cause in fitter.single_causes:
+            trial = tuple(sorted(kept | set(cause)))
+            if name in cause or not fitter.space.admissible(trial) or fitter.fit(trial).square > bound:
+                continue
+            for other in set(cause) - kept:
+                aliases[name][other] = max(aliases[name].get(other, 0.0), RULES.open_probability)
+    null_open = is_null_open(found.null_probability) or null.square <= selected.square + 2.0 * RULES.tie_nats
+    return aliases, null_open
+
+
+def _verdict(named: Sequence[Named], null_open: bool) -> Verdict:
+    """Return the verdict: nothing if no change is the most probable answer, and a name only without rival."""
+    if not named:
+        return Verdict.NOTHING_MISSING
+    return Verdict.UNDECIDED if null_open or any(each.aliases for each in named) else Verdict.TRACED
+
+
+def _open(aliases: Mapping[str, Mapping[str, float]], possible: Mapping[str, float]) -> list[Finding]:
+    """Return findings on what the data does not exclude."""
+    bound = RULES.alias_probability
+    return [
+        *(
+            Finding(code=Code.ALIAS, value=p, bound=bound, subject=(name, other))
+            for name, others in aliases.items()
+            for other, p in others.items()
+        ),
+        *(Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()),
+    ]
+
+
+def _named(
+    space: ParameterSpace,
+    found: SearchResult[HoverFit],
+    selected: HoverFit,
+    aliases: Mapping[str, Mapping[str, float]],
+) -> tuple[Named, ...]:
+    """Return the selected effects with values, standard deviations, probabilities and aliases."""
+    values = space.values(selected.theta_scaled)
+    sd = np.sqrt(np.diag(selected.covariance)) * space.scale
+    named = []
+    for name in selected.effects:
+        effect, others = space.effect(name), {}
+        for other, p in aliases[name].items():
+            other_name = space.effect(other).name
+            others[other_name] = max(others.get(other_name, 0.0), p)
+        open_share = max(others.values(), default=0.0)
+        named.append(
+            Named(
+                name=effect.name,
+                title=effect.title,
+                parameters={
+                    space.columns[i].key: Value(
+                        value=float(values[i]), sd=float(sd[i]), unit=space.columns[i].unit
+                    )
+                    for i in space.groups[name]
+                },
+                probability=min(found.inclusion_probability[name], 1.0 - open_share),
+                aliases=others,
+                exact_aliases={},
+            )
+        )
+    return tuple(named)
+
+
+def _model(
+    space: ParameterSpace,
+    selected: HoverFit,
+    logs: TraceData,
+    named: Sequence[Named],
+    provenance: Mapping[str, object] | None,
+) -> Model:
+    """Return the model that holds the named effects."""
+    columns = [i for name in selected.effects for i in space.groups[name]]
+    covariance = (selected.covariance * np.outer(space.scale, space.scale))[np.ix_(columns, columns)]
+    return Model(
+        vehicle_id=logs.vehicle.id,
+        vehicle_name=logs.vehicle.name,
+        effects={each.name: _whole(space, selected, each.name) for each in named},
+        covariance=Covariance(
+            names=tuple(f"{space.columns[i].owner}.{space.columns[i].key}" for i in columns),
+            matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (covariance + covariance.T)),
+        )
+        if columns
+        else None,
+        sources={each.name: space.effects[each.name].source_id for each in named},
+        data=tuple(data.flight.id for data in logs.flights),
+        provenance=dict(provenance or {}),
+    )
+
+
+def _whole(space: ParameterSpace, selected: HoverFit, owner: str) -> dict[str, float]:
+    """Return all values of an effect by key; those that its candidate does not move are neutral."""
+    moved = {i for name in selected.effects for i in (*space.groups[name], *space.forms[name])}
+    values = space.values(
+        np.where([i in moved for i in range(len(space.columns))], selected.theta_scaled, 0.0)
+    )
+    return {space.columns[i].key: float(values[i]) for i in space.owners[owner]}
