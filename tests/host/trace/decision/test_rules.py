@@ -20,7 +20,7 @@ from trimtab.host.trace.flight_fit import recording, whitening
 from trimtab.host.trace.next_flight import separation
 from trimtab.host.trace.segment_fit import fit as segment_fit
 
-EXPECTED: Mapping[str, float] = {
+EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     # Evidence.
     "odds": 20.0,
     "prior_odds_against": 40.0,
@@ -141,7 +141,7 @@ def test_every_rule_has_an_expected_value_in_the_order_of_the_table() -> None:
 
 
 @pytest.mark.parametrize(("name", "value"), EXPECTED.items(), ids=list(EXPECTED))
-def test_rule_has_the_value_that_it_was_calibrated_to(name: str, value: float) -> None:
+def test_rule_has_the_value_that_it_was_calibrated_to(name: str, value: float | tuple[float, ...]) -> None:
     assert getattr(RULES, name) == pytest.approx(value, rel=1e-12)
     assert type(getattr(RULES, name)) is type(value)
     assert TABLE[name].value == getattr(RULES, name)
