@@ -340,6 +340,12 @@ class Rules:
         "Factors, equally probable, on the error of a mean that the blocks show. Flights of one "
         "programme have much of their scatter in common.",
     )
+    hover_handling: tuple[float, ...] = _rule(
+        (0.1, 0.3, 1.0),
+        "1",
+        "Factors, equally probable, on the tolerances of the vehicle file and on `rotor_tilt_sigma_rad`: "
+        "how much the build changed when the vehicle was handled.",
+    )
     change_odds_against: float = _rule(
         10.0,
         "1",

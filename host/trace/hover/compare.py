@@ -14,7 +14,7 @@ from trimtab.host.log.provenance import count_simulated
 from trimtab.host.models.model import Covariance, Model
 from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.data.logs import TraceData
-from trimtab.host.trace.decision.alternatives import aliases_of, possible_beside
+from trimtab.host.trace.decision.alternatives import possible_beside
 from trimtab.host.trace.decision.decide import hidden, is_null_open
 from trimtab.host.trace.decision.findings import Code, Finding, Verdict
 from trimtab.host.trace.decision.rules import RULES
@@ -24,7 +24,6 @@ from trimtab.host.trace.hover.mean import hover_mean
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.residual.unexplained import NOTHING_UNEXPLAINED
 from trimtab.host.trace.result import Named, Trace, Value
-from trimtab.host.trace.search import SearchResult, most_probable, search
 from trimtab.host.trace.selection import detectability
 
 
@@ -64,11 +63,17 @@ def compare(
         curves=[balances(vehicle, parameters, means, baseline, share) for share in shares],
         baseline=baseline,
     )
-    found = search(fitter, fitter.fit(()))
-    selected = fitter.fit(most_probable(found.posterior_weights))
-    aliases, null_open = _alternatives(fitter, found, selected)
-    named = _named(parameters, found, selected, aliases)
-    possible = possible_beside(selected.effects, aliases, found.inclusion_probability, RULES)
+    fits = [fitter.fit(cause) for cause in fitter.causes]
+    top = max(fit.log_evidence for fit in fits)
+    weights = {fit.effects: float(np.exp(fit.log_evidence - top)) for fit in fits}
+    selected = max(fits, key=lambda fit: fit.log_evidence)
+    inclusion = {
+        name: sum(w for names, w in weights.items() if name in names) / sum(weights.values())
+        for name in parameters.candidates
+    }
+    aliases, null_open = _alternatives(fits, selected, inclusion)
+    named = _named(parameters, selected, inclusion, aliases)
+    possible = possible_beside(selected.effects, aliases, inclusion, RULES)
     verdict = _verdict(named, null_open)
     sigmas = detectability(parameters, selected.gram, parameters.prior.precision(selected.effects))
     return Trace(
@@ -94,7 +99,7 @@ def compare(
             after_m=None,
         ),
         space=parameters,
-        diagnosis=HoverDiagnosis(selected=selected, posterior_weights=found.posterior_weights),
+        diagnosis=HoverDiagnosis(selected=selected, posterior_weights=weights),
         residual=NOTHING_UNEXPLAINED,
         audits=tuple(replace(each, used_s=mean.flying_s) for each, mean in zip(audits, means, strict=True)),
         description=None,
@@ -104,29 +109,26 @@ def compare(
 
 
 def _alternatives(
-    fitter: HoverFitter, found: SearchResult[HoverFit], selected: HoverFit
+    fits: Sequence[HoverFit], selected: HoverFit, inclusion: Mapping[str, float]
 ) -> tuple[dict[str, dict[str, float]], bool]:
-    """Return the aliases of each selected effect, and whether nothing may have changed.
+    """Return the aliases of each effect of the selected cause, and whether nothing may have changed.
 
-    Four numbers a log are few. So an alternative is open not only if the posterior says so, but whatever its
-    prior: another single cause in place of an effect, if it explains at least half of what the selected set
-    explains and its residual is as small within RULES.tie_nats. Such aliases get RULES.open_probability.
+    Four numbers a log are few. So another cause is open not only if its posterior probability exceeds
+    RULES.alias_probability. It also is, with RULES.open_probability, if it explains at least half of what the
+    selected cause explains and fits as well within RULES.tie_nats, whatever its prior (`HoverFit.widest`).
     """
-    null = fitter.fit(())
-    bound = min(selected.square + 2.0 * RULES.tie_nats, 0.5 * (selected.square + null.square))
+    null = next(fit for fit in fits if not fit.effects)
+    tie = selected.widest + 2.0 * RULES.tie_nats
+    bound = min(tie, 0.5 * (selected.widest + null.widest))
+    fitting = {name for fit in fits if fit.widest <= bound for name in fit.effects}
+    others = {name: p for name, p in inclusion.items() if p > RULES.alias_probability}
+    others |= {name: max(inclusion[name], RULES.open_probability) for name in fitting}
     aliases = {
-        name: {other: p for other, p in others.items() if p > RULES.alias_probability}
-        for name, others in aliases_of(selected.effects, found.posterior_weights, fitter.space, RULES).items()
+        name: {other: p for other, p in others.items() if other not in selected.effects}
+        for name in selected.effects
     }
-    for name in selected.effects:
-        kept = set(selected.effects) - {name}
-        for cause in fitter.single_causes:
-            trial = tuple(sorted(kept | set(cause)))
-            if name in cause or not fitter.space.admissible(trial) or fitter.fit(trial).square > bound:
-                continue
-            for other in set(cause) - kept:
-                aliases[name][other] = max(aliases[name].get(other, 0.0), RULES.open_probability)
-    null_open = is_null_open(found.null_probability) or null.square <= selected.square + 2.0 * RULES.tie_nats
+    total = np.logaddexp.reduce([fit.log_evidence for fit in fits])
+    null_open = is_null_open(float(np.exp(null.log_evidence - total))) or null.widest <= tie
     return aliases, null_open
 
 
@@ -152,8 +154,8 @@ def _open(aliases: Mapping[str, Mapping[str, float]], possible: Mapping[str, flo
 
 def _named(
     space: ParameterSpace,
-    found: SearchResult[HoverFit],
     selected: HoverFit,
+    inclusion: Mapping[str, float],
     aliases: Mapping[str, Mapping[str, float]],
 ) -> tuple[Named, ...]:
     """Return the selected effects with values, standard deviations, probabilities and aliases."""
@@ -164,6 +166,7 @@ def _named(
         effect, others = space.effect(name), {}
         for other, p in aliases[name].items():
             other_name = space.effect(other).name
+            other_name = other if other_name == effect.name else other_name  # another rotor
             others[other_name] = max(others.get(other_name, 0.0), p)
         open_share = max(others.values(), default=0.0)
         named.append(
@@ -176,7 +179,7 @@ def _named(
                     )
                     for i in space.groups[name]
                 },
-                probability=min(found.inclusion_probability[name], 1.0 - open_share),
+                probability=min(inclusion[name], 1.0 - open_share),
                 aliases=others,
                 exact_aliases={},
             )

@@ -1,9 +1,9 @@
-"""Sets of effects fitted to the difference between the balances of two sets of logs.
+"""Single causes fitted to the difference between the balances of two sets of logs.
 
-What the vehicle file lacks in both sets is free: one offset of each channel. An effect acts only in the logs
-after the change. Nuisances of each log are its thrust scale, and a yaw torque of tilted rotor axes. Four
-things are unknown and averaged over, as hypotheses: how much thrust scales scatter from log to log, how much
-the balance does, and the thrust curve if the logs declare it unknown.
+A hover gives four numbers, so no two causes at once are searched. What the vehicle file lacks in both sets is
+free: one offset of each channel. A cause acts only in the logs after the change. Nuisances are the tolerances
+of the build, and in each log its thrust scale and a yaw torque of tilted rotor axes. How large the nuisances
+are is unknown (`Hypothesis`): the evidence of a cause is its mean over all hypotheses.
 """
 
 from __future__ import annotations
@@ -12,7 +12,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import cached_property
 from itertools import product
-from typing import Annotated
+from typing import Annotated, NamedTuple
 
 import numpy as np
 from scipy.special import softmax
@@ -23,7 +23,7 @@ from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.hover.balance import CHANNELS, Balance, predicted, slopes
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
-from trimtab.host.trace.search import Names, Score
+from trimtab.host.trace.search import Names
 from trimtab.host.vehicle import Vehicle
 
 _OFFSET = 1e3
@@ -51,41 +51,47 @@ class CoupledPrior(Prior):
 
 @dataclass(frozen=True, kw_only=True)
 class HoverFit:
-    """A set of effects fitted to the change of the balance.
+    """A cause fitted to the change of the balance.
 
     Attributes
     ----------
     effects
-        The fitted set.
+        The effects of the cause; empty for none.
     theta_scaled, covariance
         Estimate and its covariance, scaled.
-    at
-        Scaled parameters of the last linearisation.
     log_evidence
-        In nats, with the prior odds of the set.
-    square
-        Least square of whitened residual and prior, under the most probable hypothesis.
+        In nats, with the prior odds of the cause.
+    widest
+        Least square of whitened residual and prior under the most probable of the hypotheses with the whole
+        tolerances: how badly the cause fits whatever the prior says of its size.
     gram
         Gram of the whitened [residual | slopes] of that hypothesis.
-    grams, log_dets
-        Grams of the whitened [residual | slopes], and log determinants of the covariances by which they were
-        whitened, of each hypothesis.
     """
 
     effects: Names
     theta_scaled: Annotated[np.ndarray, "parameters"]
     covariance: Annotated[np.ndarray, "parameters parameters"]
-    at: Annotated[np.ndarray, "parameters"]
     log_evidence: float
-    square: float
+    widest: float
     gram: Annotated[np.ndarray, "columns columns"]
-    grams: Annotated[np.ndarray, "hypotheses columns columns"]
-    log_dets: Annotated[np.ndarray, "hypotheses"]
+
+
+class Hypothesis(NamedTuple):
+    """What is unknown beside the cause.
+
+    curve: index of the thrust curve. thrust_sigma: standard deviation of the thrust scale from log to log.
+    scatter: factor on the error of the mean of a log. handling: factor on all tolerances of the build.
+    """
+
+    curve: int
+    thrust_sigma: float
+    scatter: float
+    handling: float
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class HoverFitter:
-    """Fitter of sets of effects to the balances of logs, of which the first `baseline` are the baseline.
+    """Fitter of single causes to the balances of logs, of which the first `baseline` are the baseline.
 
     curves: the balances of all logs, for each hypothesis about the thrust curve.
     """
@@ -95,117 +101,81 @@ class HoverFitter:
     curves: Sequence[Sequence[Balance]]
     baseline: int
 
-    @property
-    def prior(self) -> Prior:
-        """Prior of the parameters, without couplings."""
-        return self.space.prior
+    @cached_property
+    def causes(self) -> list[Names]:
+        """Return the causes: none, each candidate alone, and each with the effects that it brings."""
+        space = self.space
+        brought = [tuple(sorted({name, *space.effect(name).comes_with})) for name in space.candidates]
+        return list(dict.fromkeys([(), *((name,) for name in space.candidates), *brought]))
 
-    def fit(self, effects: Sequence[str], start: HoverFit | None = None) -> HoverFit:
-        """Return the set `effects` fitted from `start`, or from neutral."""
-        names = tuple(sorted(effects))
-        fit = self._step(names, np.zeros(len(self.space.columns)) if start is None else start.theta_scaled)
-        for _ in range(_ITERATIONS - 1):
+    def fit(self, names: Names) -> HoverFit:
+        """Return a cause fitted from neutral."""
+        fit = self._step(names, np.zeros(len(self.space.columns)))
+        for _ in range(_ITERATIONS - 1 if names else 0):
             fit = self._step(names, fit.theta_scaled)
         return fit
 
     def _step(self, names: Names, theta_scaled: Annotated[np.ndarray, "parameters"]) -> HoverFit:
-        """Return the fit of a set in the linearisation at scaled parameters."""
-        at = self.space.clipped(theta_scaled)
-        grams, log_dets = self._grams(at)
-        precision = self._coupled(at).precision(names)
-        solved = [evidence.bounded_step(gram, at, precision, self.space.bounds) for gram in grams]
-        steps, covariances = (np.array(each) for each in zip(*solved, strict=True))
-        values = [self._scores(gram, det, at, [names])[0] for gram, det in zip(grams, log_dets, strict=True)]
+        """Return the fit of a cause in the linearisation at scaled parameters."""
+        at, limits = self.space.clipped(theta_scaled), self.space.bounds
+        columns = [self._columns(logs, at) for logs in self.curves]
+        steps, covariances, values, squares, grams = [], [], [], [], []
+        for hypothesis in self._hypotheses:
+            root = np.linalg.cholesky(_covariance(self.curves[hypothesis.curve], hypothesis))
+            white = np.linalg.solve(root, columns[hypothesis.curve])
+            gram, log_det = white.T @ white, 2.0 * float(np.log(np.diag(root)).sum())
+            prior = self._prior(at, hypothesis.handling)
+            precision = prior.precision(names)
+            step, covariance = evidence.bounded_step(gram, at, precision, limits)
+            moved = np.concatenate([[1.0], -step])
+            steps.append(step)
+            covariances.append(covariance)
+            values += evidence.log_evidences(gram, log_det, at, prior, [names], limits)
+            squares.append(float(moved @ gram @ moved + precision @ (at + step) ** 2))
+            grams.append(gram)
         weights = softmax(values)
-        step = weights @ steps
-        spread = steps - step
-        likely = int(np.argmax(values))
-        moved = np.concatenate([[1.0], -steps[likely]])
+        step = weights @ np.array(steps)
+        spread = np.array(steps) - step
+        whole = [each.handling == max(RULES.hover_handling) for each in self._hypotheses]
+        likely = int(np.argmax(np.where(whole, values, -np.inf)))
+        odds = -len(names) * RULES.prior_log_odds - np.log(RULES.change_odds_against) * bool(names)
         return HoverFit(
             effects=names,
             theta_scaled=self.space.clipped(at + step),
             covariance=np.einsum("h,hij->ij", weights, covariances) + (weights[:, None] * spread).T @ spread,
-            at=at,
-            log_evidence=float(np.logaddexp.reduce(values)),
-            square=float(moved @ grams[likely] @ moved + precision @ (at + steps[likely]) ** 2),
+            log_evidence=float(np.logaddexp.reduce(values) + odds),
+            widest=squares[likely],
             gram=grams[likely],
-            grams=grams,
-            log_dets=log_dets,
         )
 
-    def scorers(self, fit: HoverFit) -> list[Score]:
-        """Return the function that gives the log evidence of sets in the linearisation of `fit`."""
-
-        def score(sets: Sequence[Names]) -> Sequence[float]:
-            values = [
-                self._scores(gram, det, fit.at, sets)
-                for gram, det in zip(fit.grams, fit.log_dets, strict=True)
-            ]
-            return np.logaddexp.reduce(values, axis=0).tolist()
-
-        return [score]
-
-    def underrated_extensions(self, fit: HoverFit) -> list[Names]:
-        """Return `fit` with each effect that brings others, and these: their prior depends on its size."""
-        return [tuple(sorted({*fit.effects, *names})) for names in self.single_causes if len(names) > 1]
-
     @cached_property
-    def single_causes(self) -> list[Names]:
-        """Sets of one cause: each candidate alone, and with those that it brings."""
-        alone = [(name,) for name in self.space.candidates]
-        brought = [tuple(sorted({n, *self.space.effect(n).comes_with})) for n in self.space.candidates]
-        return list(dict.fromkeys([*alone, *brought]))
-
-    def causes(self, names: Sequence[str]) -> int:
-        """Return how many causes a set has: effects that come with another one of the set are none."""
-        owners = {self.space.effect(name).name for name in names}
-        brought = {other for name in owners for other in self.space.effects[name].comes_with}
-        return len(owners - brought)
+    def _hypotheses(self) -> list[Hypothesis]:
+        """All hypotheses, equally probable before the logs are seen."""
+        curves = range(len(self.curves))
+        known = RULES.session_thrust_sigmas, RULES.hover_scatters, RULES.hover_handling
+        return [Hypothesis(*each) for each in product(curves, *known)]
 
     @cached_property
     def _arm_m(self) -> float:
         """Mean distance of the rotors from the centre."""
         return float(np.mean([np.hypot(*rotor.position_m[:2]) for rotor in self.vehicle.rotors]))
 
-    def _coupled(self, at: Annotated[np.ndarray, "parameters"]) -> CoupledPrior:
+    def _prior(self, at: Annotated[np.ndarray, "parameters"], handling: float) -> CoupledPrior:
         """Return the prior at scaled parameters: an attached mass acts at most at about the end of an arm."""
-        space = self.space
+        space, prior = self.space, self.space.prior
         limits: dict[str, dict[int, float]] = {}
         for name in space.candidates:
             share = float(np.abs(space.scale * at)[list(space.groups[name])].max())
             columns = [i for other in space.effect(name).comes_with for i in space.groups[other]]
             if share > 0.0 and columns:
                 limits[name] = {i: share * self._arm_m / np.sqrt(2.0) / space.scale[i] for i in columns}
-        prior = space.prior
         return CoupledPrior(
             groups=prior.groups,
             forms=prior.forms,
-            spike=prior.spike,
+            spike=handling * prior.spike,
             nuisance_sigma=prior.nuisance_sigma,
             limits=limits,
         )
-
-    def _scores(
-        self, gram: np.ndarray, log_det: float, at: np.ndarray, sets: Sequence[Sequence[str]]
-    ) -> list[float]:
-        """Return the log evidence of sets under one hypothesis, with one prior odds for each cause."""
-        values = evidence.log_evidences(gram, log_det, at, self._coupled(at), sets, self.space.bounds)
-        return [
-            value - len(names) * RULES.prior_log_odds - self.causes(names) * np.log(RULES.change_odds_against)
-            for value, names in zip(values, sets, strict=True)
-        ]
-
-    def _grams(self, at: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return Grams and log determinants at scaled parameters, for each hypothesis."""
-        grams, log_dets = [], []
-        for logs in self.curves:
-            columns = self._columns(logs, at)
-            for hypothesis in product(RULES.session_thrust_sigmas, RULES.hover_scatters):
-                root = np.linalg.cholesky(_covariance(logs, *hypothesis))
-                white = np.linalg.solve(root, columns)
-                grams.append(white.T @ white)
-                log_dets.append(2.0 * np.log(np.diag(root)).sum())
-        return np.array(grams), np.array(log_dets)
 
     def _columns(self, logs: Sequence[Balance], at: np.ndarray) -> Annotated[np.ndarray, "rows columns"]:
         """Return [residual | slopes] of all channels of all logs; the baseline is without effects."""
@@ -219,25 +189,21 @@ class HoverFitter:
         return np.concatenate(rows)
 
 
-def _covariance(
-    logs: Sequence[Balance], thrust_sigma: float, scatter: float
-) -> Annotated[np.ndarray, "rows rows"]:
-    """Return the covariance of all channels of all logs.
-
-    thrust_sigma: standard deviation of the thrust scale of a log. scatter: factor on the error of its mean.
-    """
+def _covariance(logs: Sequence[Balance], hypothesis: Hypothesis) -> Annotated[np.ndarray, "rows rows"]:
+    """Return the covariance of all channels of all logs."""
     whole = np.tile(np.eye(CHANNELS), (len(logs), len(logs))) * _OFFSET**2
     for index, log in enumerate(logs):
         rows = slice(CHANNELS * index, CHANNELS * (index + 1))
-        own = scatter**2 * log.covariance + thrust_sigma**2 * np.outer(log.scale, log.scale)
-        own[3, 3] += log.yaw_sigma**2
+        own = hypothesis.scatter**2 * log.covariance
+        own += hypothesis.thrust_sigma**2 * np.outer(log.scale, log.scale)
+        own[3, 3] += (hypothesis.handling * log.yaw_sigma) ** 2
         whole[rows, rows] += own
     return whole
 
 
 @dataclass(frozen=True, kw_only=True)
 class HoverDiagnosis:
-    """The selected effects of a comparison of hovers, and their probabilities.
+    """The most probable cause of a comparison of hovers, and the probabilities of all.
 
     The attributes are those of `trimtab.host.trace.selection.Diagnosis` that a result shows.
     """
