@@ -48,6 +48,7 @@ EFFECT = Effect(
         planner="nothing: plans assume a full battery",
         law="the commanded thrust is divided by the same power of the voltage measured on board",
     ),
+    slows_rotors=True,
     thrust_factor=_factor,
     to_feedforward=_feedforward,
 )

@@ -183,6 +183,8 @@ class Effect:
     one_of
         Whether only one of the parameters may leave neutral, as for one rotor of four. Each parameter is then
         a candidate.
+    slows_rotors
+        Whether `thrust_factor` acts through the speed of the rotors, so that measured rotor speeds show it.
     changes_hover
         Whether the effect may change from one day to the next and then shows in the mean of a hover. It is a
         candidate of comparisons of hovers (`trimtab.host.trace.hover`), even if it is an adjustment.
@@ -249,6 +251,7 @@ class Effect:
     freed_by: tuple[str, ...] = ()
     requires_any: tuple[str, ...] = ()
     one_of: bool = False
+    slows_rotors: bool = False
     changes_hover: bool = False
     comes_with: tuple[str, ...] = ()
     form_torque: bool = False
@@ -358,6 +361,12 @@ class Effect:
     def theta(self, values: Sequence[float]) -> tuple[float, ...]:
         """Return theta with these first values, and a neutral form."""
         return (*values, *self.neutral[len(values) :])
+
+    @property
+    def acts_on_rotor_speed(self) -> bool:
+        """Whether measured rotor speeds show the effect."""
+        timing = (self.motor_lag_s, self.driven_thrust_n, self.lag_factor, self.command_delay_s)
+        return self.slows_rotors or any(slot is not None for slot in timing)
 
     @property
     def keys(self) -> tuple[str, ...]:

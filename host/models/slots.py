@@ -143,6 +143,19 @@ def driven_thrusts_n(
     return command_n
 
 
+def speed_thrusts_n(
+    ops: Ops, vehicle: Airframe, effects: Sequence[Part], thrust_n: Sequence[Scalar], voltage_ratio: Scalar
+) -> Sequence[Scalar]:
+    """Return the thrusts (N) that the speeds of the rotors stand for.
+
+    They are `thrust_n` with the factors of the effects that slow the rotors, and of no others.
+    """
+    ctx = _context(vehicle, [*(0.0,) * 12, *thrust_n], (), (), vehicle.mass_kg, voltage_ratio, 0.0)
+    slowing = [(effect, theta) for effect, theta in effects if effect.slows_rotors]
+    slowed = _effective_thrust(ops, slowing, ctx)
+    return thrust_n if slowed is None else slowed
+
+
 def rotor_lags_s(
     ops: Ops, effects: Sequence[Part], lag_s: Scalar, driven_n: Sequence[Scalar], thrust_n: Sequence[Scalar]
 ) -> list[Scalar]:

@@ -325,6 +325,19 @@ class Rules:
         0.995, "1", "Mean resultant length of the heading above which all flights had one heading."
     )
 
+    # Rotor speeds.
+    rotor_speed_sigma: float = _rule(
+        0.002, "1", "Least error of a rotor's speed squared, over that at the greatest thrust, in a bin."
+    )
+    rotor_scale_sigma: float = _rule(
+        0.02,
+        "1",
+        "Error of a rotor's speed squared at the greatest thrust: a factor for each flight.",
+    )
+    rotor_age_sigma_s: float = _rule(
+        0.01, "s", "Age of rotor speeds at their stamps: motor controllers report means, and late."
+    )
+
     # Comparison of hovers.
     hover_block_s: float = _rule(2.0, "s", "Length of the blocks whose scatter gives the error of a mean.")
     hover_margin_s: float = _rule(

@@ -170,9 +170,14 @@ def _linear_step(
         return regressors(r, loop.recordings[index].known, order)
 
     white = autoregression(loop.each(regressors_of))
-    grams = whitened_grams(white, loop, base, slopes) / search_temper(order)
+    grams = whitened_grams(white, loop, base, slopes) / search_temper(order) + _of_rotors(loop, theta_scaled)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
+
+
+def _of_rotors(loop: ClosedLoop, theta_scaled: np.ndarray) -> np.ndarray | float:
+    """Return the Grams of the rotor speeds of each flight, or 0 without any."""
+    return 0.0 if loop.speeds is None else loop.speeds.grams(theta_scaled)
 
 
 def _position_rms(loop: ClosedLoop, residuals: Sequence[np.ndarray]) -> float:
@@ -218,6 +223,8 @@ def _line_search(
     rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
     points = np.column_stack([theta_scaled, points])
     cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / search_temper(white.order)
+    if loop.speeds is not None:
+        cost += loop.speeds.squares(points)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
     return points[:, best], [r[best].copy() for r in rolled]
 
@@ -363,7 +370,8 @@ def fit_with_whitening(
     while True:
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
         slopes = loop.slopes(theta_scaled, effects, base, afresh=turn < 2)
-        grams = flight_weight / RULES.temper * whitened_grams(white, loop, base, slopes)
+        grams = whitened_grams(white, loop, base, slopes) / RULES.temper + _of_rotors(loop, theta_scaled)
+        grams = flight_weight * grams
         deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)

@@ -21,6 +21,7 @@ from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import States
 from trimtab.host.trace.data.signals import FlightData, Signals, states_of
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record
+from trimtab.host.trace.flight_fit.rotors import RotorSpeeds
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
@@ -117,13 +118,19 @@ class Slopes:
 class ClosedLoop:
     """Closed-loop model phi with the effects of a parameter space, over recordings of whole flights.
 
-    jobs: threads that predict flights.
+    jobs: threads that predict flights. speeds: measured rotor speeds of the flights; None without any.
     """
 
     def __init__(
-        self, recordings: Sequence[Recording], vehicle: Vehicle, space: ParameterSpace, *, jobs: int = 1
+        self,
+        recordings: Sequence[Recording],
+        vehicle: Vehicle,
+        space: ParameterSpace,
+        *,
+        speeds: RotorSpeeds | None = None,
+        jobs: int = 1,
     ) -> None:
-        self.recordings, self.space, self.jobs = tuple(recordings), space, jobs
+        self.recordings, self.space, self.speeds, self.jobs = tuple(recordings), space, speeds, jobs
         self._rows = [i for name in space.parts for i in space.owners[name]]
         self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
         self._slopes: Slopes | None = None
@@ -340,7 +347,8 @@ def closed_loop(
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     states = states_of(flights, latency_s)
     recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
-    return ClosedLoop(recordings, vehicle, space, jobs=jobs)
+    speeds = RotorSpeeds(flights, vehicle, space)
+    return ClosedLoop(recordings, vehicle, space, speeds=speeds if speeds.present else None, jobs=jobs)
 
 
 def tracking_time_and_extent(flights: Sequence[FlightData]) -> tuple[float, float]:

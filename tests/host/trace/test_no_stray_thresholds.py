@@ -55,6 +55,13 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "flight_fit/repeatability.py": {
         "_SHIFT_STEP": "grid step of the shifts that the variance is estimated from",
     },
+    "flight_fit/rotors.py": {
+        "STEP_S": "step of the roll-out",
+        "_LAGS": "order of the autoregression",
+        "_THETA_STEP": "step of the difference quotients",
+        "_FAR": "distance after which a linearisation is made again",
+        "_FITS": "number of Gauss-Newton iterations",
+    },
     "flight_fit/whitening.py": {
         "CHANNELS": "size of a bin's residual",
         "WINDOWS": "basis of the autoregression",

@@ -112,6 +112,10 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "leading_share": 0.35,
     "shown_slack_m": 0.1,
     "one_heading": 0.995,
+    # Rotor speeds.
+    "rotor_speed_sigma": 0.002,
+    "rotor_scale_sigma": 0.02,
+    "rotor_age_sigma_s": 0.01,
     # Comparison of hovers.
     "hover_block_s": 2.0,
     "hover_margin_s": 0.5,
