@@ -25,6 +25,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import minimize
 
+from trimtab.host.trace.bounds import minimise_sums
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, innovation_root
 
@@ -44,13 +45,15 @@ class Prior:
 
     groups: column indices of each candidate or adjustment. forms: those of the form of its effect. spike:
     standard deviation of each parameter, scaled, if its effect is not selected; of a form, if it is selected.
-    nuisance_sigma: those of a flight's nuisances, in physical units.
+    nuisance_sigma: those of a flight's nuisances, in physical units. added: for each column, the one to which
+    it adds, so that the bounds are those of the sum; -1 for none. None if no column adds to another.
     """
 
     groups: dict[str, tuple[int, ...]]
     spike: Annotated[np.ndarray, "parameters"]
     nuisance_sigma: Annotated[np.ndarray, "nuisances"]
     forms: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    added: Annotated[np.ndarray, "parameters"] | None = None
 
     @cached_property
     def _without_forms(self) -> Annotated[np.ndarray, "parameters"]:
@@ -136,12 +139,25 @@ def log_evidences(
     chol = np.linalg.cholesky(normal)
     half = np.linalg.solve(chol, rhs[:, :, None])
     free = np.linalg.solve(chol.swapaxes(1, 2), half)[:, :, 0]
-    excess = minimise_in_box(normal, free, limits[0] - theta_scaled, limits[1] - theta_scaled) - free
+    excess = _minimise_within(normal, free, theta_scaled, limits, prior.added) - free
     quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - np.square(half).sum((1, 2))
     quadratic += np.einsum("si,sij,sj->s", excess, normal, excess)
     occam = 2.0 * np.log(np.einsum("sii->si", chol)).sum(1) - np.log(precision).sum(1)
     odds = RULES.prior_log_odds * np.array([len(names) for names in sets])
     return (-0.5 * (quadratic + occam + log_det) + odds).tolist()
+
+
+def _minimise_within(
+    normal: Annotated[np.ndarray, "... parameters parameters"],
+    minimum: Annotated[np.ndarray, "... parameters"],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
+    added: Annotated[np.ndarray, "parameters"] | None,
+) -> Annotated[np.ndarray, "... parameters"]:
+    """Return the steps from theta_scaled to the minima of quadratics; added: of `Prior`."""
+    if added is None:
+        return minimise_in_box(normal, minimum, limits[0] - theta_scaled, limits[1] - theta_scaled)
+    return minimise_sums(normal, minimum, theta_scaled, limits, added)
 
 
 def minimise_in_box(
@@ -184,16 +200,17 @@ def bounded_step(
     theta_scaled: Annotated[np.ndarray, "parameters"],
     precision: Annotated[np.ndarray, "parameters"],
     limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
+    added: Annotated[np.ndarray, "parameters"] | None = None,
 ) -> tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters parameters"]]:
     """Return the step to the best point within `limits`, and the posterior covariance, scaled.
 
-    Arguments are those of `posterior`; limits: lower and upper bounds. The other parameters adapt to a
-    parameter that stops at its bound. If the step of `posterior` were clipped instead, they would not.
+    Arguments are those of `posterior`; limits: lower and upper bounds; added: of `Prior`. The other
+    parameters adapt to a parameter that stops at its bound. If the step of `posterior` were clipped instead,
+    they would not.
     """
     step, covariance = posterior(gram, theta_scaled, precision)
     normal = gram[1:, 1:] + np.diag(precision)
-    lower, upper = limits[0] - theta_scaled, limits[1] - theta_scaled
-    return minimise_in_box(normal, step, lower, upper), covariance
+    return _minimise_within(normal, step, theta_scaled, limits, added), covariance
 
 
 def fit_process(

@@ -87,8 +87,9 @@ class ParameterSpace:
     freed
         Adjustments that the logs free, since the logs do not determine them.
     nuisance_sigma
-        Prior standard deviations (9,) of the nuisances of a flight: mounting tilt rad; angular acceleration
-        rad/s^2 or gyro bias rad/s; accelerometer bias m/s^2. Three each, FRD.
+        Prior standard deviations of the nuisances of a flight: mounting tilt rad; angular acceleration
+        rad/s^2 or gyro bias rad/s; accelerometer bias m/s^2. Three each, FRD. Then, if two sets of
+        flights are compared, the logarithm of the thrust scale.
     """
 
     columns: tuple[Column, ...]
@@ -165,7 +166,36 @@ class ParameterSpace:
             forms=self.forms,
             spike=spike,
             nuisance_sigma=np.array(self.nuisance_sigma),
+            added=self.added,
         )
+
+    @property
+    def rolled(self) -> ParameterSpace:
+        """Parameters of the roll-outs: these. A space of several sets of flights has more columns."""
+        return self
+
+    @cached_property
+    def added(self) -> Annotated[np.ndarray, "parameters"] | None:
+        """Columns to which others add (`Prior.added`); None here."""
+        return None
+
+    def of_flight(
+        self, theta_scaled: Annotated[np.ndarray, "parameters"], flight: int
+    ) -> Annotated[np.ndarray, "rolled"]:
+        """Return the scaled parameters of the roll-out of a flight: here the same for all flights."""
+        del flight
+        return theta_scaled
+
+    def after_change(self) -> ParameterSpace:
+        """Return the space for flights that are all after the change: here this one."""
+        return self
+
+    def expanded(
+        self, gram: Annotated[np.ndarray, "segments all all"], flight: int
+    ) -> Annotated[np.ndarray, "segments all_columns all_columns"]:
+        """Return Grams of [r | rolled parameters | others] of a flight as those of [r | columns | others]."""
+        del flight
+        return gram
 
     def values(self, theta_scaled: np.ndarray) -> np.ndarray:
         """Return the physical values of scaled parameters, (parameters,) or (parameters, lanes)."""

@@ -32,7 +32,7 @@ from trimtab.host.trace.data.signals import FlightData, local_quadratics, pose_i
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import starting_process
-from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 _LEAD_S = 0.3
 _ROLL_OUT_STEP_S = 0.005
@@ -249,7 +249,7 @@ def _fitted_nuisances(
 
     data: segments of the flights. flights: number of flights.
     """
-    nuisances = np.zeros((flights, NUISANCES))
+    nuisances = np.zeros((flights, segment_model.nuisances))
     if not len(data.flight):
         return nuisances
     process = starting_process(data)

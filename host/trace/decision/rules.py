@@ -220,6 +220,12 @@ class Rules:
     free_force_bias_sigma_m_s2: float = _rule(
         0.5, "m/s^2", "The same if the log declares the mounting tilt unknown."
     )
+    session_thrust_sigma: float = _rule(
+        0.05,
+        "1",
+        "Prior standard deviation of the thrust scale of one session (battery, temperature, propellers), if "
+        "two sets of flights are compared.",
+    )
     min_segments: int = _rule(5, "segments", "Fewest usable segments for a trace.")
     min_poses: int = _rule(100, "poses", "Fewest poses in a log.")
     min_tracking_poses: int = _rule(10, "poses", "Fewest poses in the tracking phase of a log.")

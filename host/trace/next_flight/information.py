@@ -20,7 +20,7 @@ from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
 from trimtab.host.trace.linearisation import DisturbanceVariances
 from trimtab.host.trace.segment_fit import linearise, rollout
 from trimtab.host.trace.segment_fit.fit import SegmentFit
-from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
+from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.vehicle import Vehicle
 from trimtab.host.vehicle.allocation import allocation_inverse
 
@@ -109,7 +109,7 @@ def information(
     count = len(data.flight)
     rolled = np.unique(np.round(np.linspace(0, count - 1, min(count, _ROLLED))).astype(int))
     nearest = np.abs(np.arange(count)[:, None] - rolled).argmin(axis=1)
-    part, nuisances = data.take(rolled), np.zeros((len(rolled), NUISANCES))
+    part, nuisances = data.take(rolled), np.zeros((len(rolled), segment_model.nuisances))
     part = _kept_on_path(segment_model, part, theta_scaled)
     # Each rolled-out segment is a flight of its own here, so that its Gram can stand for its neighbours'.
     part = replace(part, flight=np.arange(len(rolled)), paths=np.repeat(part.paths, len(rolled), axis=0))
@@ -135,10 +135,11 @@ def _kept_on_path(segment_model: SegmentModel, data: Segments, theta_scaled: np.
     vehicle and are not compensated.
     """
     start = data.x0.T[:, None, :]
-    nuisances = np.zeros((NUISANCES, *start.shape[1:]))
+    nuisances = np.zeros((segment_model.nuisances, *start.shape[1:]))
+    point = segment_model.space.of_flight(theta_scaled, 0)[:, None]
     per_bin = round(BIN_S / data.dt_s)
     for _ in range(_TURNS):
-        predicted = rollout.roll_out(segment_model, data, start, theta_scaled[:, None], nuisances)[:, 6:9, 0]
+        predicted = rollout.roll_out(segment_model, data, start, point, nuisances)[:, 6:9, 0]
         error = data.rate_frd - np.transpose(predicted, (2, 0, 1))
         inner = 0.5 * (error[:, per_bin - 1 : -1 : per_bin] + error[:, per_bin::per_bin])
         edges = np.concatenate([np.zeros_like(error[:, :1]), inner, error[:, -1:]], axis=1)

@@ -155,9 +155,15 @@ def propose(
     while (before := sigma(so_far)) > RULES.undecided_sigma:
         so_far *= 0.9 * (RULES.undecided_sigma / before) ** 2
 
+    after = space.after_change()
+    next_model = (
+        segment_model
+        if after is space
+        else SegmentModel.of(segment_model.vehicle, after, fit.data, jobs=segment_model.jobs)
+    )
     best, greatest = None, -1.0
     for candidate in known:
-        added = information(segment_model, candidate.flat, theta_scaled, instruments)
+        added = information(next_model, candidate.flat, theta_scaled, instruments)
         if added is None:
             continue
         expected = sigma(so_far + added)

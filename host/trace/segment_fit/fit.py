@@ -16,7 +16,7 @@ from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names, Score
 from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.linearise import Basis
-from trimtab.host.trace.segment_fit.model import NUISANCES, SegmentModel
+from trimtab.host.trace.segment_fit.model import SegmentModel
 
 _CALM = float(np.log(0.05**2))
 """Log variance of a force in calm air, (m/s^2)^2."""
@@ -148,13 +148,18 @@ def refit(
     precision = prior.precision(effects)
     if start is None:
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
-        nuisances = np.zeros((int(data.flight.max()) + 1, NUISANCES))
+        nuisances = np.zeros((int(data.flight.max()) + 1, segment_model.nuisances))
         data = data.with_w(linearise.disturbance_from_measured_rotation(segment_model, data))
         basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     else:
         theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
             theta_scaled[[*space.groups[name], *space.forms[name]]] = 0.0
+        if space.rolled is not space:
+            # Of two sets the common parameters are nearly free, so what takes the place of an effect that
+            # leaves must be found on trajectories that it would give: attitude responds strongly to torque.
+            left = theta_scaled - start.lin.theta_scaled
+            data = data.with_w(evidence.disturbances(start.lin, process, left, np.zeros_like(nuisances)))
         basis = start.basis
     iteration = 0
     while True:
@@ -165,7 +170,9 @@ def refit(
             data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.marginal_grams(lin, process, prior)
-        step, covariance = evidence.bounded_step(white.gram, theta_scaled, precision, space.bounds)
+        step, covariance = evidence.bounded_step(
+            white.gram, theta_scaled, precision, space.bounds, space.added
+        )
         sigma = np.sqrt(np.diag(covariance))
         settled = iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED
         done = np.abs(step).max() < 0.03 or settled or iteration == iterations - 1

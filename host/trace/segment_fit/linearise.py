@@ -8,7 +8,7 @@ program of `trimtab.host.trace.segment_fit.model`.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated, TypeVar
 
@@ -21,8 +21,8 @@ from trimtab.host.trace.data.segments import BIN_S, Segments
 from trimtab.host.trace.data.signals import nominal_thrust
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.linearisation import Linearisation, OwnGrams
-from trimtab.host.trace.segment_fit.model import NUISANCES, STATES, SegmentModel
-from trimtab.host.trace.segment_fit.rollout import remembered, residuals, roll_out
+from trimtab.host.trace.segment_fit.model import STATES, SegmentModel
+from trimtab.host.trace.segment_fit.rollout import remembered_by_flight, residuals, roll_out
 
 Result = TypeVar("Result")
 
@@ -36,7 +36,7 @@ _X_STEP = np.full(STATES, 1e-6)
 TURN_STEPS = 6
 """Steps between the poses that give a body rate. More average attitude noise, fewer follow fast turns."""
 
-_NUISANCE_STEP = np.full(NUISANCES, 1e-5)
+_NUISANCE_STEP = 1e-5
 _BIN_STEP = np.full(6, 1e-5)
 _THETA_STEP = 1e-5
 """Step of the difference quotients, scaled. It must be small: attitude responds so strongly to torque that
@@ -55,8 +55,8 @@ class Basis:
     states and disturbance of the segments. memory: of `remembered` there.
     """
 
-    theta_scaled: Annotated[np.ndarray, "parameters"]
-    nuisances: Annotated[np.ndarray, "flights 9"]
+    theta_scaled: Annotated[np.ndarray, "columns"]
+    nuisances: Annotated[np.ndarray, "flights nuisances"]
     x0: Annotated[np.ndarray, "segments 12"]
     disturbance_frd: Annotated[np.ndarray, "segments bins 6"]
     memory: Annotated[np.ndarray, "memory 1 segments"]
@@ -73,8 +73,8 @@ class Basis:
     ]:
         """Return the columns of some segments of a flight, in units of sigma, and their Grams.
 
-        They are 12 of the initial state, 9 of nuisances and 6 of the disturbance in each bin. part: the
-        segments with the indices `segments`.
+        They are 12 of the initial state, those of the nuisances and 6 of the disturbance in each bin. part:
+        the segments with the indices `segments`.
         """
         key = int(segments[0])
         stored = self._stored.get(key)
@@ -91,15 +91,18 @@ class Basis:
         """Return the columns of some segments, rolled out."""
         part = part.with_x0(self.x0[segments]).with_w(self.disturbance_frd[segments])
         memory = self.memory[:, :, segments]
-        count = 1 + STATES + NUISANCES + 6 * part.bins
-        lanes = _Lanes(part, part.x0, self.theta_scaled, self.nuisances[flight], memory, count)
-        lanes.steps[1:] = np.concatenate([_X_STEP, _NUISANCE_STEP, np.tile(_BIN_STEP, part.bins)])
+        constant = segment_model.nuisances
+        count = 1 + STATES + constant + 6 * part.bins
+        theta_scaled = segment_model.space.of_flight(self.theta_scaled, flight)
+        lanes = _Lanes(part, part.x0, theta_scaled, self.nuisances[flight], memory, count)
+        steps = [_X_STEP, np.full(constant, _NUISANCE_STEP), np.tile(_BIN_STEP, part.bins)]
+        lanes.steps[1:] = np.concatenate(steps)
         for i in range(STATES):
             lanes.x0[i, 1 + i] += _X_STEP[i]
         first = 1 + STATES
-        for i in range(NUISANCES):
-            lanes.nuisances[i, first + i] += _NUISANCE_STEP[i]
-        first += NUISANCES
+        for i in range(constant):
+            lanes.nuisances[i, first + i] += _NUISANCE_STEP
+        first += constant
         for b in range(part.bins):
             for i in range(6):
                 lanes.bins[b, i, first + 6 * b + i] = _BIN_STEP[i]
@@ -114,14 +117,16 @@ class _Lanes:
         data: Segments,
         x0: Annotated[np.ndarray, "segments 12"],
         theta_scaled: Annotated[np.ndarray, "parameters"],
-        nuisances: Annotated[np.ndarray, "9"],
+        nuisances: Annotated[np.ndarray, "nuisances"],
         memory: Annotated[np.ndarray, "memory _ segments"],
         count: int,
     ) -> None:
         self.x0 = np.repeat(x0.T[:, None, :], count, axis=1)
         self.theta_scaled = np.repeat(theta_scaled[:, None], count, axis=1)
         self.memory = np.broadcast_to(memory, (len(memory), count, len(data.flight)))
-        self.nuisances = np.broadcast_to(nuisances[:, None, None], (NUISANCES, *self.x0.shape[1:])).copy()
+        self.nuisances = np.broadcast_to(
+            nuisances[:, None, None], (len(nuisances), *self.x0.shape[1:])
+        ).copy()
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
@@ -146,7 +151,7 @@ def basis(
     segment_model: SegmentModel,
     data: Segments,
     theta_scaled: Annotated[np.ndarray, "parameters"],
-    nuisances: Annotated[np.ndarray, "flights 9"],
+    nuisances: Annotated[np.ndarray, "flights nuisances"],
 ) -> Basis:
     """Return the basis at scaled parameters, nuisances and the initial states and disturbance of `data`."""
     return Basis(
@@ -154,8 +159,24 @@ def basis(
         nuisances=nuisances,
         x0=data.x0,
         disturbance_frd=data.disturbance_frd,
-        memory=remembered(segment_model, data, theta_scaled[:, None]),
+        memory=remembered_by_flight(segment_model, data, _points(segment_model, theta_scaled)),
     )
+
+
+def _points(
+    segment_model: SegmentModel,
+    theta_scaled: Annotated[np.ndarray, "columns"],
+    active: Sequence[int] | np.ndarray = (),
+) -> Callable[[int], Annotated[np.ndarray, "parameters lanes"]]:
+    """Return the parameters of the roll-outs of a flight: at theta_scaled, then with each `active` moved."""
+
+    def of_flight(flight: int) -> np.ndarray:
+        point = segment_model.space.of_flight(theta_scaled, flight)
+        points = np.repeat(point[:, None], 1 + len(active), axis=1)
+        points[active, 1 + np.arange(len(active))] += _THETA_STEP
+        return points
+
+    return of_flight
 
 
 def _each_part(
@@ -229,7 +250,7 @@ def fitted_x0(
     segment_model: SegmentModel,
     data: Segments,
     theta_scaled: Annotated[np.ndarray, "parameters"],
-    nuisances: Annotated[np.ndarray, "flights 9"],
+    nuisances: Annotated[np.ndarray, "flights nuisances"],
     basis: Basis,
     iterations: int = 1,
 ) -> Annotated[np.ndarray, "segments 12"]:
@@ -251,14 +272,13 @@ def fitted_x0(
         Number of Gauss-Newton steps.
     """
     x0 = data.x0.copy()
-    memory = remembered(segment_model, data, theta_scaled[:, None])
+    memory = remembered_by_flight(segment_model, data, _points(segment_model, theta_scaled))
 
     def fit(part: Segments, segments: np.ndarray, flight: int) -> None:
         columns = basis.columns(segment_model, part, segments, flight)
         for _ in range(iterations):
-            x = _stepped_x0(
-                segment_model, part, theta_scaled, nuisances[flight], columns, memory[:, :, segments]
-            )
+            point = segment_model.space.of_flight(theta_scaled, flight)
+            x = _stepped_x0(segment_model, part, point, nuisances[flight], columns, memory[:, :, segments])
             part = part.with_x0(x)
         x0[segments] = part.x0
 
@@ -276,7 +296,7 @@ def _stepped_x0(
 ) -> np.ndarray:
     """Return the initial states (segments, 12) after a Gauss-Newton step towards the measurements.
 
-    columns: of the basis, and their Grams. memory: of `remembered`.
+    theta_scaled: of the roll-outs. columns: of the basis, and their Grams. memory: of `remembered`.
     """
     lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory, 1)
     residual = lanes.jacobian(segment_model, part, bins=False)[:, 0]
@@ -289,7 +309,7 @@ def linearise(
     segment_model: SegmentModel,
     data: Segments,
     theta_scaled: Annotated[np.ndarray, "parameters"],
-    nuisances: Annotated[np.ndarray, "flights 9"],
+    nuisances: Annotated[np.ndarray, "flights nuisances"],
     basis: Basis,
 ) -> tuple[Linearisation, Annotated[np.ndarray, "segments 12"]]:
     """Return the linearisation at scaled parameters and nuisances, and its initial states.
@@ -297,12 +317,12 @@ def linearise(
     The initial states first take one Gauss-Newton step towards the measurements of their segment. Then they
     are projected out, since they are free. basis: gives the columns that are not taken at this point.
     """
-    count, active = 1 + len(theta_scaled), segment_model.space.active(theta_scaled)
+    space = segment_model.space
+    count, active = 1 + len(space.rolled.columns), space.active(theta_scaled)
     taken = np.concatenate([[0], 1 + active])
-    points = np.repeat(theta_scaled[:, None], len(taken), axis=1)
-    points[active, 1 + np.arange(len(active))] += _THETA_STEP
     piece, piece_flight = _pieces(data.flight, len(nuisances))
-    memory = remembered(segment_model, data, points)
+    points_of = _points(segment_model, theta_scaled, active)
+    memory = remembered_by_flight(segment_model, data, points_of)
     x0 = data.x0.copy()
 
     lin = Linearisation.blank(
@@ -316,25 +336,25 @@ def linearise(
 
     def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[OwnGrams, np.ndarray]:
         columns, columns_gram = basis.columns(segment_model, part, segments, flight)
-        starts = memory[:, :, segments]
+        starts, points = memory[:, :, segments], points_of(flight)
         x0[segments] = _stepped_x0(
-            segment_model, part, theta_scaled, nuisances[flight], (columns, columns_gram), starts[:, :1]
+            segment_model, part, points[:, 0], nuisances[flight], (columns, columns_gram), starts[:, :1]
         )
-        lanes = _Lanes(part, x0[segments], theta_scaled, nuisances[flight], starts, len(taken))
+        lanes = _Lanes(part, x0[segments], points[:, 0], nuisances[flight], starts, len(taken))
         lanes.steps[1:] = _THETA_STEP
         lanes.theta_scaled = points
         slopes = lanes.jacobian(segment_model, part, bins=False)
         A = np.zeros((len(segments), count, slopes.shape[2]))
         A[:, taken] = slopes
         w = part.disturbance_frd.reshape(len(segments), 1, -1)
-        A[:, 0] += (w @ columns[:, STATES + NUISANCES :])[:, 0]
+        A[:, 0] += (w @ columns[:, STATES + segment_model.nuisances :])[:, 0]
         sizes = np.einsum("spn,spn->p", A, A)
         cross = A @ np.swapaxes(columns, 1, 2)
         gram = np.block([[A @ np.swapaxes(A, 1, 2), cross], [np.swapaxes(cross, 1, 2), columns_gram]])
-        return lin.reduce(segments, _without_x0(gram, count)), sizes
+        return lin.reduce(segments, space.expanded(_without_x0(gram, count), flight)), sizes
 
     parts, sizes = zip(*_each_part(segment_model, data, reduce), strict=True)
-    segment_model.space.check_finite(np.sum(sizes, axis=0))
+    space.rolled.check_finite(np.sum(sizes, axis=0))
     for own in parts:
         lin.add(own)
     return lin, x0

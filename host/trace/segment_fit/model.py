@@ -31,7 +31,7 @@ STATES = 12
 NUISANCES = 9
 """Nuisances of one flight, three each, FRD: mounting tilt of the markers (rad); a constant angular
 acceleration (rad/s^2) or, if the measured body rate drives the attitude, the gyro bias (rad/s);
-accelerometer bias (m/s^2)."""
+accelerometer bias (m/s^2). If two sets of flights are compared, the logarithm of the thrust scale follows."""
 
 CHANNELS = 12
 """Predictions of one step, three each: position (m, NED), attitude as a rotation vector from the measured
@@ -53,7 +53,7 @@ class SegmentModel:
     Parameters
     ----------
     vehicle, space
-        Vehicle, and parameters of the effects.
+        Vehicle, and parameters of the effects. Roll-outs take those of `space.rolled`.
     dt_s
         Step of the grid.
     in_newton
@@ -79,7 +79,9 @@ class SegmentModel:
         self.dt_s = dt_s
         self.in_newton = in_newton
         self.rate_driven = rate_driven
-        self.memory = slots.memory_size(space.effects[name] for name in space.parts)
+        self.rolled = space.rolled
+        self.nuisances = len(space.nuisance_sigma)
+        self.memory = slots.memory_size(self.rolled.effects[name] for name in self.rolled.parts)
         self.jobs = jobs
 
     @classmethod
@@ -108,7 +110,7 @@ class SegmentModel:
 
     def memory_of(self, owner: str) -> int:
         """Return the number of states that the effect `owner` adds; 0 if the owner is not an effect."""
-        return self.space.effects[owner].memory if owner in self.space.effects else 0
+        return self.rolled.effects[owner].memory if owner in self.rolled.effects else 0
 
     def delay_s(
         self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
@@ -120,16 +122,16 @@ class SegmentModel:
 
     def _parts(self, theta_scaled: Any) -> list[Part]:
         """Return every effect with its parameter values; theta_scaled: P rows of an array, or P scalars."""
-        theta = self.space.by_owner(self._values(theta_scaled))
-        return [(self.space.effects[name], theta[name]) for name in self.space.parts]
+        theta = self.rolled.by_owner(self._values(theta_scaled))
+        return [(self.rolled.effects[name], theta[name]) for name in self.rolled.parts]
 
     def _values(self, theta_scaled: Any) -> list[Any]:
         """Return the P physical values; theta_scaled: P rows of an array, or P scalars."""
-        return [c.neutral + c.scale * theta_scaled[i] for i, c in enumerate(self.space.columns)]
+        return [c.neutral + c.scale * theta_scaled[i] for i, c in enumerate(self.rolled.columns)]
 
     def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
         """Return the four rotor thrusts in N that a command drives the rotors to, before the motor lag."""
-        log_gain, linear = self.space.by_owner(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
+        log_gain, linear = self.rolled.by_owner(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
         thrust_max_n, c1 = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
         if self.in_newton:
@@ -152,7 +154,12 @@ class SegmentModel:
         return {"step": self._step(), "rotors": self._rotors(), "memory": self._own_states()}
 
     def _symbols(self, *names: str) -> tuple[dict[str, casadi.SX], list[list[Scalar]]]:
-        sizes = _STEP_INPUTS | {"z": len(self.space.columns), "memory": self.memory, "acceleration": 3}
+        sizes = _STEP_INPUTS | {
+            "z": len(self.rolled.columns),
+            "memory": self.memory,
+            "nuisances": self.nuisances,
+            "acceleration": 3,
+        }
         columns = {name: casadi.SX.sym(name, sizes[name]) for name in names}
         return columns, [[c[i] for i in range(c.shape[0])] for c in columns.values()]
 
@@ -205,11 +212,12 @@ class SegmentModel:
             measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
         ]
         torque_frd = [nuisances[3 + i] + w[3 + i] for i in range(3)]
+        scaled = self.nuisances > NUISANCES
         if self.rate_driven:
             body = [*body[:9], *(rate[i] + torque_frd[i] for i in range(3))]
 
         def slopes(x: list, rotor: list, states: list) -> tuple[list[Scalar], list[Scalar]]:
-            full = [*x, *rotor]
+            full = [*x, *(casadi.exp(nuisances[NUISANCES]) * t if scaled else t for t in rotor)]
             out = dynamics.rigid_body(
                 CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, states
             )

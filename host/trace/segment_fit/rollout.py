@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 from typing import Annotated
 
@@ -9,7 +10,7 @@ import numpy as np
 
 from trimtab.host.base import parallel
 from trimtab.host.trace.data.segments import BIN_S, PATH_S, Segments
-from trimtab.host.trace.segment_fit.model import CHANNELS, NUISANCES, STATES, SegmentModel
+from trimtab.host.trace.segment_fit.model import CHANNELS, STATES, SegmentModel
 
 _TOGETHER = 16
 """Flights along which the states of effects are integrated together."""
@@ -20,7 +21,7 @@ def roll_out(
     data: Segments,
     x0: Annotated[np.ndarray, "12 lanes segments"],
     theta_scaled: Annotated[np.ndarray, "parameters lanes"],
-    nuisances: Annotated[np.ndarray, "9 lanes segments"],
+    nuisances: Annotated[np.ndarray, "nuisances lanes segments"],
     bins: Annotated[np.ndarray, "bins 6 lanes"] | None = None,
     memory: Annotated[np.ndarray, "memory lanes segments"] | None = None,
 ) -> Annotated[np.ndarray, "steps 12 lanes segments"]:
@@ -93,7 +94,7 @@ def _roll_out_steps(
     repeated = np.repeat(theta_scaled, count, axis=1)
     inputs["z"][:] = repeated
     inputs["body"][:] = x0.reshape(STATES, total)
-    inputs["nuisances"][:] = nuisances.reshape(NUISANCES, total)
+    inputs["nuisances"][:] = nuisances.reshape(segment_model.nuisances, total)
     inputs["memory"][:] = memory.reshape(segment_model.memory, total)
     commands = _delayed(segment_model, data.command, theta_scaled)
     inputs["thrust"][:] = _spun_up(segment_model, commands[:pre], repeated)
@@ -149,6 +150,21 @@ def _spun_up(segment_model: SegmentModel, commands: np.ndarray, theta_scaled: np
     return rotors.outputs["next"].copy()
 
 
+def remembered_by_flight(
+    segment_model: SegmentModel,
+    data: Segments,
+    points: Callable[[int], Annotated[np.ndarray, "parameters lanes"]],
+) -> Annotated[np.ndarray, "memory lanes segments"]:
+    """Return the states of `remembered`; points: gives the scaled parameters of a flight."""
+    if segment_model.space.rolled is segment_model.space:  # all flights have the same
+        return remembered(segment_model, data, points(0))
+    out = np.empty((segment_model.memory, points(0).shape[1], len(data.flight)))
+    for flight in np.unique(data.flight).tolist():
+        segments = np.flatnonzero(data.flight == flight)
+        out[:, :, segments] = remembered(segment_model, data.of_flight(flight, segments), points(flight))
+    return out
+
+
 def remembered(
     segment_model: SegmentModel, data: Segments, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
 ) -> Annotated[np.ndarray, "memory lanes segments"]:
@@ -159,7 +175,7 @@ def remembered(
     if not segment_model.memory:
         return np.empty((0, theta_scaled.shape[1], len(data.flight)))
     columns = [
-        i for name, rows in segment_model.space.owners.items() if segment_model.memory_of(name) for i in rows
+        i for name, rows in segment_model.rolled.owners.items() if segment_model.memory_of(name) for i in rows
     ]
     distinct, lane = np.unique(theta_scaled[columns], axis=1, return_inverse=True)
     values = np.repeat(theta_scaled[:, :1], distinct.shape[1], axis=1)

@@ -17,6 +17,10 @@ PACKAGE = Path(rules.__file__).parents[1]
 MODULES = sorted(path.relative_to(PACKAGE).as_posix() for path in PACKAGE.rglob("*.py"))
 
 METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
+    "bounds.py": {
+        "_BLOCK_PIVOTS": "number of iterations",
+        "_PIVOTS": "number of iterations",
+    },
     "data/contact.py": {
         "_WINDOW_S": "length of the windows that speed and force are averaged over",
         "_WINDOW_STEP_S": "grid step of these windows",

@@ -75,6 +75,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "gyro_bias_sigma_rad_s": 0.02,
     "force_bias_sigma_m_s2": 0.05,
     "free_force_bias_sigma_m_s2": 0.5,
+    "session_thrust_sigma": 0.05,
     "min_segments": 5,
     "min_poses": 100,
     "min_tracking_poses": 10,
