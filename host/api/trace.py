@@ -29,6 +29,7 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     held_out: Sequence[Flight] = (),
     effects: Mapping[str, Effect] | None = None,
     *,
+    baseline: Sequence[Flight] = (),
     vehicle: Vehicle | str | Path | None = None,
     network: bool = True,
     jobs: int | None = None,
@@ -46,6 +47,8 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
         Flights of other references. They only measure the error before and after.
     effects
         Candidate effects by name. Default: the shipped ones and those of the workspace.
+    baseline
+        Flights before a change. The answer is then what changed since, not what the vehicle file lacks.
     vehicle
         Vehicle that all flights must come from, or the name or path of its file. Default: the one that the
         flights name.
@@ -94,9 +97,10 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
         flights,
         held_out,
         load_effects(space.root) if effects is None else effects,
+        baseline=baseline,
         vehicle=stated,
         manoeuvres=lambda: flyable(space, stated or flights[0].vehicle),
-        provenance=artefacts.provenance(parents=log_parents(flights, held_out), argv=command),
+        provenance=artefacts.provenance(parents=log_parents([*baseline, *flights], held_out), argv=command),
         network=network,
         jobs=jobs,
         on_progress=on_progress,

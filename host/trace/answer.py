@@ -9,7 +9,7 @@ from trimtab.host.trace.data.audit import Audit
 from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES
 from trimtab.host.trace.residual.description import Description
 from trimtab.host.trace.residual.unexplained import FlightRepeat
-from trimtab.host.trace.result import Trace
+from trimtab.host.trace.result import Baseline, Trace
 from trimtab.host.trace.sentences import sentences
 
 
@@ -46,6 +46,7 @@ def to_json(
         "noise_floor": dict(result.noise_floor),
         "held_out_flights": len(result.before),
         "next_flight": None if result.next_flight is None else result.next_flight.to_json(),
+        "baseline": None if result.baseline is None else _baseline(result.baseline),
         "model": model_path,
         "report": report_path,
         "findings": [finding.to_json() for finding in result.all_findings],
@@ -57,6 +58,18 @@ def to_json(
         "description": _description(result.description),
         "unexplained": None if result.unexplained is None else result.unexplained.to_json(network_path),
         "audit": [audit_json(audit) for audit in result.audits],
+    }
+
+
+def _baseline(baseline: Baseline) -> dict[str, Any]:
+    """Return the JSON object `baseline`."""
+    return {
+        "logs": list(baseline.logs),
+        "common": {
+            owner: {key: {"value": v.value, "sd": v.sd, "unit": v.unit} for key, v in values.items()}
+            for owner, values in baseline.common.items()
+        },
+        "thrust_sd": baseline.thrust_sigma,
     }
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from typing import Annotated
 
 import numpy as np
@@ -18,6 +19,7 @@ from trimtab.host.trace.decision.decide import Decision
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.joint import JointSpace
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors, predict_flights, predict_segments, rmse
 from trimtab.host.trace.result import Named, Value
@@ -68,6 +70,27 @@ def named_effects(
             )
         )
     return tuple(named)
+
+
+def after_change(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[SegmentModel, Diagnosis]:
+    """Return model and diagnosis in the parameters of flights after the change.
+
+    Without a baseline they are the given ones.
+    """
+    space = segment_model.space
+    if not isinstance(space, JointSpace):
+        return segment_model, diagnosis
+    selected, null_fit = diagnosis.selected, diagnosis.null_fit
+    theta_scaled, covariance = space.mapped(selected.theta_scaled, selected.covariance)
+    without, _ = space.mapped(theta_without_effects(space, null_fit), null_fit.covariance)
+    return (
+        SegmentModel.of(segment_model.vehicle, space.rolled, selected.data, jobs=segment_model.jobs),
+        replace(
+            diagnosis,
+            selected=replace(selected, theta_scaled=theta_scaled, covariance=covariance),
+            null_fit=replace(null_fit, theta_scaled=without),
+        ),
+    )
 
 
 def model_of(
@@ -218,10 +241,11 @@ def held_out_errors(
             return predict_flights(logs.held_out, whole, effects, jobs=segment_model.jobs)
         return predict_segments(logs.held_out, segment_model, values)
 
-    before = predict(theta_without_effects(space, diagnosis.null_fit), None)
+    without_effects = theta_without_effects(space, diagnosis.null_fit)
+    before = predict(without_effects, None)
     if not added:
         return before, before, before
     theta_scaled = diagnosis.selected.theta_scaled
     nuisance_only = theta_scaled.copy()
-    nuisance_only[selected_columns] = 0.0
+    nuisance_only[selected_columns] = without_effects[selected_columns]
     return before, predict(theta_scaled, model), predict(nuisance_only, adjusted)

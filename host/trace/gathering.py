@@ -71,6 +71,7 @@ def gather_inputs(
         ),
         tracking_s=tracking_s,
         extent_m=extent_m,
+        compared=segment_model.space.rolled is not segment_model.space,
     )
 
 

@@ -73,6 +73,26 @@ class Named:
 
 
 @dataclass(frozen=True, kw_only=True)
+class Baseline:
+    """The baseline of a comparison.
+
+    Attributes
+    ----------
+    logs
+        Names of its logs.
+    common
+        Values that both sets have in common, by owner and key: an effect, or an adjustment such as the thrust
+        curve.
+    thrust_sigma
+        Standard deviation within which the thrust scale of each log is free.
+    """
+
+    logs: tuple[str, ...]
+    common: Mapping[str, Mapping[str, Value]]
+    thrust_sigma: float
+
+
+@dataclass(frozen=True, kw_only=True)
 class Trace:
     """The result of a trace.
 
@@ -105,6 +125,9 @@ class Trace:
         What a disturbance outside the library depends on; None for other verdicts.
     unexplained
         Errors of the network that was trained on the residual; None if none was trained.
+    baseline
+        The flights before the change; None without a baseline. With one, the named effects are what changed,
+        and a value is that of a vehicle that was nominal before. `audits` begins with the baseline's.
     simulated_flights
         Number of flights that are known to be simulated, of those in `audits`.
     """
@@ -126,6 +149,7 @@ class Trace:
     audits: tuple[Audit, ...]
     description: Description | None
     unexplained: NetworkResult | None
+    baseline: Baseline | None = None
     simulated_flights: int = 0
 
     def to_dict(

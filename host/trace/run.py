@@ -6,19 +6,29 @@ from collections.abc import Callable, Mapping, Sequence
 
 from trimtab.host.base import parallel
 from trimtab.host.effects import Effect
-from trimtab.host.effects.unknowns import TORQUE
+from trimtab.host.effects.unknowns import THRUST, TORQUE
 from trimtab.host.log import Flight
 from trimtab.host.log.provenance import count_simulated
-from trimtab.host.trace.assembly import assessed, far_adjustments, held_out_errors, model_of, named_effects
+from trimtab.host.trace.assembly import (
+    after_change,
+    assessed,
+    far_adjustments,
+    held_out_errors,
+    model_of,
+    named_effects,
+)
+from trimtab.host.trace.baseline import baseline_of, check_baseline
 from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
-from trimtab.host.trace.data.logs import observable_effects, read_logs
+from trimtab.host.trace.data.logs import TraceData, observable_effects, read_logs
+from trimtab.host.trace.data.sets import check_sets
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
 from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
 from trimtab.host.trace.gathering import gather_inputs
+from trimtab.host.trace.joint import JointSpace, joint_space
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.next_flight.separation import propose
-from trimtab.host.trace.parameters import space
+from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.prediction import noise_floor
 from trimtab.host.trace.residual.description import describe
 from trimtab.host.trace.residual.network import train_network
@@ -37,6 +47,7 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     held_out: Sequence[Flight],
     effects: Mapping[str, Effect],
     *,
+    baseline: Sequence[Flight] = (),
     vehicle: Vehicle | None = None,
     manoeuvres: Manoeuvres | None = None,
     provenance: Mapping[str, object] | None = None,
@@ -46,6 +57,8 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
 ) -> Trace:
     """Find the effects that the nominal model of `flights` lacks, and score the result on `held_out`.
 
+    With a baseline, find what changed between the baseline and `flights`.
+
     Parameters
     ----------
     flights
@@ -54,6 +67,8 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         Logs that only the prediction error is computed on.
     effects
         Candidate effects by name.
+    baseline
+        Logs before the change; none to compare with the nominal model.
     vehicle
         Vehicle of all logs; that of the first log if None.
     manoeuvres
@@ -75,13 +90,18 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         If the logs cannot be traced, alone or together.
     """
     jobs = parallel.cores() if jobs is None else jobs
-    logs = read_logs(flights, held_out, vehicle)
+    if baseline:
+        check_sets(flights, baseline)
+    logs = read_logs([*baseline, *flights], held_out, vehicle)
+    logs = logs.compared(len(baseline)) if baseline else logs
     on_progress("reading segments")
-    in_newton = all(f.recorded_inputs is not None and f.recorded_inputs.thrust_n is not None for f in flights)
-    observable = observable_effects(effects, flights)
-    parameters = space(logs.vehicle, observable, logs.unknown, thrust_commanded=in_newton)
+    parameters = _space(logs, effects, len(baseline))
     data, audits = segments_of(logs.flights, rate_driven=TORQUE in logs.unknown)
     segment_model = SegmentModel.of(logs.vehicle, parameters, data, jobs=jobs)
+    if baseline:
+        on_progress("fitting the baseline")
+        thrust_known = THRUST not in logs.unknown
+        check_baseline(segment_model, data, baseline, logs.repeat_flights, thrust_known=thrust_known)
     tracking_s, extent_m = tracking_time_and_extent(logs.flights)
     shortfall = tracking_shortfall(tracking_s, extent_m)
     whole_flights = logs.flights if logs.drive == "reference" and shortfall is None else ()
@@ -95,25 +115,30 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         if within_library
         else ()
     )
-    theta_scaled = (
-        diagnosis.selected.theta_scaled if within_library else theta_without_effects(parameters, null_fit)
+    model_after, answer = after_change(segment_model, diagnosis)
+    space_after = model_after.space
+    theta_after = (
+        answer.selected.theta_scaled
+        if within_library
+        else theta_without_effects(space_after, answer.null_fit)
     )
-    model = model_of(parameters, diagnosis, theta_scaled, flights, named, within_library, provenance)
+    every = [*baseline, *flights]
+    model = model_of(space_after, answer, theta_after, every, named, within_library, provenance)
     on_progress("predicting the held-out flights")
-    before, after, adjusted = held_out_errors(logs, segment_model, diagnosis, within_library, model, effects)
+    before, after, adjusted = held_out_errors(logs, model_after, answer, within_library, model, effects)
     next_flight = description = learned = None
     if decision.to_separate is not None and manoeuvres is not None:
         on_progress("searching for the next flight")
         next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
     if not within_library:
         on_progress("describing the unexplained disturbance")
-        disturbance = disturbance_left(null_fit, theta_scaled)
-        description = describe(disturbance, null_fit.data, [f.reference_id for f in flights], logs.vehicle)
+        disturbance = disturbance_left(null_fit, theta_without_effects(parameters, null_fit))
+        description = describe(disturbance, null_fit.data, [f.reference_id for f in every], logs.vehicle)
         if network and logs.drive == "reference":
             learned = train_network(flights, held_out, model, effects, description, on_progress)
     return Trace(
         verdict=decision.verdict,
-        findings=(*decision.findings, *far_adjustments(parameters, model)),
+        findings=(*decision.findings, *far_adjustments(space_after, model)),
         effects=named,
         possible=decision.possible,
         drive=logs.drive,
@@ -129,5 +154,26 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         audits=with_missing_repeats(audits, logs.repeat_flights),
         description=description,
         unexplained=learned,
-        simulated_flights=count_simulated(flight.metadata for flight in flights),
+        baseline=(
+            baseline_of(parameters, diagnosis.selected, [audit.log for audit in audits[: len(baseline)]])
+            if isinstance(parameters, JointSpace)
+            else None
+        ),
+        simulated_flights=count_simulated(flight.metadata for flight in every),
+    )
+
+
+def _space(logs: TraceData, effects: Mapping[str, Effect], baseline: int) -> ParameterSpace:
+    """Return the parameter space of the flights, of which the first `baseline` are the baseline."""
+    flights = [data.flight for data in logs.flights]
+    in_newton = all(f.recorded_inputs is not None and f.recorded_inputs.thrust_n is not None for f in flights)
+    observable = observable_effects(effects, flights)
+    if not baseline:
+        return space(logs.vehicle, observable, logs.unknown, thrust_commanded=in_newton)
+    return joint_space(
+        logs.vehicle,
+        observable,
+        logs.unknown,
+        [index >= baseline for index in range(len(flights))],
+        thrust_commanded=in_newton,
     )

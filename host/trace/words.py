@@ -12,7 +12,7 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.next_flight.separation import NextFlight
 from trimtab.host.trace.residual.description import Dependence, Description
 from trimtab.host.trace.residual.network import NetworkResult
-from trimtab.host.trace.result import Named, Trace
+from trimtab.host.trace.result import Baseline, Named, Trace
 from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
 _SHOWN_STRETCHES = 5
@@ -137,6 +137,8 @@ def dependence(entry: Dependence) -> list[str]:
 def result_lines(result: Trace) -> list[str]:
     """Return the whole result as lines of text."""
     lines = [f"verdict: {result.verdict}"]
+    if result.baseline is not None:
+        lines.append(f"  {baseline_line(result.baseline)}")
     for effect in result.effects:
         lines += _effect_lines(effect)
     if result.effects:
@@ -158,6 +160,15 @@ def result_lines(result: Trace) -> list[str]:
     if result.next_flight is not None:
         lines.append(next_flight(result.next_flight))
     return lines + [f"data: {line}" for line in audit_lines(result.audits)]
+
+
+def baseline_line(baseline: Baseline) -> str:
+    """Return a line on the flights with which a comparison was made."""
+    logs = len(baseline.logs)
+    return (
+        f"the baseline is {logs} {'flight' if logs == 1 else 'flights'}; the thrust of each log may differ "
+        f"by about {100 * baseline.thrust_sigma:.0f} % (battery, temperature, propellers)"
+    )
 
 
 def _effect_lines(effect: Named) -> list[str]:
@@ -193,20 +204,37 @@ def taken_up(result: Trace) -> list[str]:
     ]
 
 
+_VERDICTS = {
+    (Verdict.TRACED, True): "The model is missing {}.",
+    (Verdict.UNDECIDED, True): "The model may be missing {}; another explanation cannot be excluded.",
+    (Verdict.UNDECIDED, False): "The model may be missing something; these flights do not show what.",
+    (Verdict.NOTHING_MISSING, False): "Nothing stands out beyond the tolerances of the vehicle.",
+    (Verdict.OUTSIDE_LIBRARY, True): "The cause is an effect that the library does not hold: {}.",
+}
+"""What a verdict says, by whether there are names or reasons to fill in."""
+
+_VERDICTS_ON_CHANGE = {
+    (Verdict.TRACED, True): "Since the baseline flights this changed: {}.",
+    (Verdict.UNDECIDED, True): "Since the baseline flights this may have changed: {}; another explanation "
+    "cannot be excluded.",
+    (Verdict.UNDECIDED, False): "Something may have changed since the baseline flights; these flights do not "
+    "show what.",
+    (Verdict.NOTHING_MISSING, False): "Nothing changed since the baseline flights beyond the tolerances of "
+    "the vehicle.",
+    (Verdict.OUTSIDE_LIBRARY, True): "What changed is an effect that the library does not hold: {}.",
+}
+"""The same if two sets of flights were compared."""
+
+
 def verdict(result: Trace) -> str:
     """Return the verdict in one or two sentences."""
     names = _listed([e.title.lower() for e in result.effects])
-    if result.verdict is Verdict.TRACED:
-        text = f"The model is missing {names}."
-    elif result.verdict is Verdict.UNDECIDED and names:
-        text = f"The model may be missing {names}; another explanation cannot be excluded."
-    elif result.verdict is Verdict.UNDECIDED:
-        text = "The model may be missing something; these flights do not show what."
-    elif result.verdict is Verdict.NOTHING_MISSING:
-        text = "Nothing stands out beyond the tolerances of the vehicle."
-    else:
-        reasons = sentences(result.findings, OUTSIDE_LIBRARY_CODES)
-        text = "The cause is an effect that the library does not hold: " + "; ".join(reasons) + "."
+    texts = _VERDICTS if result.baseline is None else _VERDICTS_ON_CHANGE
+    if result.verdict is Verdict.OUTSIDE_LIBRARY:
+        names = "; ".join(sentences(result.findings, OUTSIDE_LIBRARY_CODES))
+    text = texts[result.verdict, bool(names)].format(names)
+    if result.baseline is not None:
+        text += f" {baseline_line(result.baseline).capitalize()}."
     if result.before_score and result.after_score and result.effects:
         b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]
         n = len(result.before)

@@ -22,6 +22,9 @@ class TraceOptions:
     ----------
     hold_out
         Flight logs of other references. They only measure the error before and after.
+    baseline
+        Flight logs before a change. The answer is what changed since then, instead of what the vehicle file
+        lacks.
     vehicle
         Vehicle that the logs must come from. Default: the one that they name.
     output
@@ -34,6 +37,7 @@ class TraceOptions:
     """
 
     hold_out: Annotated[list[Path] | None, Parameter(name="--hold-out", consume_multiple=True)] = None
+    baseline: Annotated[list[Path] | None, Parameter(name="--baseline", consume_multiple=True)] = None
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None
     network: Annotated[bool, Parameter(negative="--no-network")] = True
@@ -70,8 +74,9 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
 
     if not logs:
         raise UsageError("no log given; name one or more flight logs")
-    if options.hold_out is not None and not options.hold_out:
-        raise UsageError("--hold-out names no log; give one or more or leave it out")
+    for name, named in (("--hold-out", options.hold_out), ("--baseline", options.baseline)):
+        if named is not None and not named:
+            raise UsageError(f"{name} names no log; give one or more or leave it out")
     vehicle = None
     if options.vehicle is not None:  # before the logs are read
         vehicle = load_vehicle(options.vehicle, options.workspace)
@@ -79,10 +84,12 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
         artefacts.check_folder(options.output, FILES, options.force)
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
+    baseline = [read_flight(path) for path in options.baseline or ()]
     with Progress("tracing") as progress:
         result = trace(
             flights,
             held_out,
+            baseline=baseline,
             vehicle=vehicle,
             network=options.network,
             jobs=options.jobs,

@@ -485,9 +485,23 @@ def test_log_that_is_not_named_like_one_is_refused(refused: Refused, ref: str, t
         )
 
 
-@pytest.mark.parametrize("verb", ["trace", "learn"])
-def test_option_that_names_no_log_is_refused(refused: Refused, log: str, verb: str) -> None:
-    refused(verb, log, "--hold-out", code=2, parts=["--hold-out names no log; give one or more"])
+@pytest.mark.parametrize(
+    ("verb", "option"), [("trace", "--hold-out"), ("learn", "--hold-out"), ("trace", "--baseline")]
+)
+def test_option_that_names_no_log_is_refused(refused: Refused, log: str, verb: str, option: str) -> None:
+    refused(verb, log, option, code=2, parts=[f"{option} names no log; give one or more"])
+
+
+def test_baseline_that_shares_a_flight_is_refused(refused: Refused, log: str) -> None:
+    refused(
+        "trace",
+        log,
+        "--baseline",
+        log,
+        code=2,
+        parts=["the same flight as", "give it either as the baseline"],
+        refusal="sets-share-a-flight",
+    )
 
 
 def test_workspace_with_a_file_for_a_folder_is_refused(refused: Refused, tmp_path: Path) -> None:

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Literal
 
 from trimtab.host.effects import Effect
 from trimtab.host.log import Flight, is_same_flight
+from trimtab.host.trace.data.sets import unknowns_of_change
 from trimtab.host.trace.data.signals import FlightData, has_signals, unknowns
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.vehicle import Vehicle
@@ -44,6 +45,19 @@ class TraceData:
     unknown: frozenset[str]
     drive: Drive
     repeat_flights: tuple[tuple[int, int], ...]
+
+    def compared(self, baseline: int) -> TraceData:
+        """Return the same flights as two sets, of which the first `baseline` flights are the first one.
+
+        Their recorded inputs drive the predictions. Repeat flights are of one set: a change makes
+        those of two sets differ.
+        """
+        return replace(
+            self,
+            drive="inputs",
+            unknown=unknowns_of_change([data.flight for data in (*self.flights, *self.held_out)]),
+            repeat_flights=tuple((a, b) for a, b in self.repeat_flights if (a < baseline) == (b < baseline)),
+        )
 
 
 def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Vehicle | None) -> TraceData:

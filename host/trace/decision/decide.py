@@ -60,6 +60,9 @@ class DecisionInputs:
         For each selected effect: by how many nats segments prefer the set without it; empty if not computed.
     tracking_s, extent_m
         Tracking time of all flights, and the greatest extent of one of them along an axis.
+    compared
+        Whether two sets of flights were compared. For the verdict `nothing-missing` it must then be more
+        probable that nothing changed than that something did.
     """
 
     space: ParameterSpace
@@ -78,6 +81,7 @@ class DecisionInputs:
     segment_disagreement_nats: Mapping[str, float]
     tracking_s: float
     extent_m: float
+    compared: bool = False
 
     @property
     def has_repeats(self) -> bool:
@@ -180,8 +184,9 @@ def _verdict(
     if undecided_reasons:
         return Verdict.UNDECIDED
     if not inputs.selected:
-        null_open = is_null_open(inputs.null_probability, rules)
-        return Verdict.NOTHING_MISSING if null_open else Verdict.UNDECIDED
+        # Sessions differ in thrust, so a change of mass is often probable without being certain.
+        bound = rules.majority if inputs.compared else rules.alias_probability
+        return Verdict.NOTHING_MISSING if inputs.null_probability > bound else Verdict.UNDECIDED
     return Verdict.UNDECIDED if any(aliases.values()) else Verdict.TRACED
 
 

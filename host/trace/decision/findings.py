@@ -76,6 +76,10 @@ class Code(StrEnum):
     MIXED_INPUTS = "mixed-inputs"
     TOO_FEW_POSES = "too-few-poses"
     NO_TRACKING = "no-tracking"
+    BASELINE_OF_ANOTHER_VEHICLE = "baseline-of-another-vehicle"
+    BASELINE_OUTSIDE_LIBRARY = "baseline-outside-library"
+    SETS_SHARE_A_FLIGHT = "sets-share-a-flight"
+    SETS_DIFFER_IN_TOPICS = "sets-differ-in-topics"
 
 
 CHANNEL_UNITS = {"force": "m/s^2", "torque": "rad/s^2"}
