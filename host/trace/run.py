@@ -25,6 +25,7 @@ from trimtab.host.trace.data.sets import check_sets
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
 from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
 from trimtab.host.trace.gathering import gather_inputs
+from trimtab.host.trace.hover.compare import compare, compares_hovers
 from trimtab.host.trace.joint import JointSpace, joint_space
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre
 from trimtab.host.trace.next_flight.separation import propose
@@ -93,6 +94,9 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     if baseline:
         check_sets(flights, baseline)
     logs = read_logs([*baseline, *flights], held_out, vehicle)
+    if baseline and compares_hovers([data.flight for data in logs.flights]):
+        on_progress("comparing hovers")
+        return compare(logs, effects, len(baseline), provenance)
     logs = logs.compared(len(baseline)) if baseline else logs
     on_progress("reading segments")
     parameters = _space(logs, effects, len(baseline))

@@ -167,7 +167,7 @@ def baseline_line(baseline: Baseline) -> str:
     logs = len(baseline.logs)
     return (
         f"the baseline is {logs} {'flight' if logs == 1 else 'flights'}; the thrust of each log may differ "
-        f"by about {100 * baseline.thrust_sigma:.0f} % (battery, temperature, propellers)"
+        f"by about {100 * baseline.thrust_sigma:.2g} % (battery, temperature, propellers)"
     )
 
 
@@ -182,6 +182,8 @@ def _effect_lines(effect: Named) -> list[str]:
 
 
 def _errors_line(result: Trace) -> str:
+    if any(finding.code is Code.ONLY_HOVER for finding in result.findings):
+        return "no prediction error: a comparison of hovers predicts no flight"
     if result.before_score is None or result.after_score is None:
         return "no flight held out, so no prediction error; add --hold-out LOG"
     span = "whole flights" if result.horizon_s is None else f"{result.horizon_s} s ahead"

@@ -371,7 +371,7 @@ class Rules:
         "Prior odds against each cause. They are lower than those of a trace, since the flights "
         "were compared for a reason.",
     )
-    session_thrust_sigmas: tuple[float, ...] = _rule(
+    hover_thrust_sigmas: tuple[float, ...] = _rule(
         (0.005, 0.01, 0.02, 0.05),
         "1",
         "Standard deviations, equally probable, of the thrust scale from log to log: battery, "

@@ -16,14 +16,14 @@ from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.data.logs import TraceData
 from trimtab.host.trace.decision.alternatives import possible_beside
 from trimtab.host.trace.decision.decide import hidden, is_null_open
-from trimtab.host.trace.decision.findings import Code, Finding, Verdict
+from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.hover.balance import balances
 from trimtab.host.trace.hover.fit import HoverDiagnosis, HoverFit, HoverFitter
 from trimtab.host.trace.hover.mean import hover_mean
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.residual.unexplained import NOTHING_UNEXPLAINED
-from trimtab.host.trace.result import Named, Trace, Value
+from trimtab.host.trace.result import Baseline, Named, Trace, Value
 from trimtab.host.trace.selection import detectability
 
 
@@ -43,9 +43,15 @@ def compare(
 ) -> Trace:
     """Return what changed between the first `baseline` flights of `logs` and the others.
 
-    Raises LogsRefused for a log with too little time in the air.
+    Raises LogsRefused for a log with too little time in the air, and for held-out flights.
     """
     vehicle = logs.vehicle
+    if logs.held_out:
+        raise LogsRefused(
+            Code.ONLY_HOVER,
+            f"{logs.held_out[0].flight.path}: without a body rate in the logs, a comparison predicts no "
+            "flight; leave out --hold-out",
+        )
     audits = [audit(data) for data in logs.flights]
     means = [hover_mean(data, each) for data, each in zip(logs.flights, audits, strict=True)]
     parameters = space(
@@ -104,6 +110,9 @@ def compare(
         audits=tuple(replace(each, used_s=mean.flying_s) for each, mean in zip(audits, means, strict=True)),
         description=None,
         unexplained=None,
+        baseline=Baseline(
+            logs=tuple(each.log for each in audits[:baseline]), common={}, thrust_sigma=selected.thrust_sigma
+        ),
         simulated_flights=count_simulated(data.flight.metadata for data in logs.flights),
     )
 

@@ -66,6 +66,8 @@ class HoverFit:
         tolerances: how badly the cause fits whatever the prior says of its size.
     gram
         Gram of the whitened [residual | slopes] of that hypothesis.
+    thrust_sigma
+        Standard deviation of the thrust scale from log to log: root mean square over the hypotheses.
     """
 
     effects: Names
@@ -74,6 +76,7 @@ class HoverFit:
     log_evidence: float
     widest: float
     gram: Annotated[np.ndarray, "columns columns"]
+    thrust_sigma: float
 
 
 class Hypothesis(NamedTuple):
@@ -146,13 +149,14 @@ class HoverFitter:
             log_evidence=float(np.logaddexp.reduce(values) + odds),
             widest=squares[likely],
             gram=grams[likely],
+            thrust_sigma=float(np.sqrt(weights @ [each.thrust_sigma**2 for each in self._hypotheses])),
         )
 
     @cached_property
     def _hypotheses(self) -> list[Hypothesis]:
         """All hypotheses, equally probable before the logs are seen."""
         curves = range(len(self.curves))
-        known = RULES.session_thrust_sigmas, RULES.hover_scatters, RULES.hover_handling
+        known = RULES.hover_thrust_sigmas, RULES.hover_scatters, RULES.hover_handling
         return [Hypothesis(*each) for each in product(curves, *known)]
 
     @cached_property

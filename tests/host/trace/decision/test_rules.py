@@ -125,7 +125,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "hover_scatters": (0.25, 0.5, 1.0),
     "hover_handling": (0.1, 0.3, 1.0),
     "change_odds_against": 10.0,
-    "session_thrust_sigmas": (0.005, 0.01, 0.02, 0.05),
+    "hover_thrust_sigmas": (0.005, 0.01, 0.02, 0.05),
     "rotor_tilt_sigma_rad": 0.03490658503988659,
     "thrust_curve_linear": (0.4, 0.6, 0.8, 1.0),
 }

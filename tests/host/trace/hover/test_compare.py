@@ -5,7 +5,7 @@ The vehicle is flown by the simulator. Its logs keep poses and sampled motor com
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from pathlib import Path
 
@@ -19,10 +19,10 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, read_flight
-from trimtab.host.trace.data.logs import read_logs
 from trimtab.host.trace.decision.findings import LogsRefused
-from trimtab.host.trace.hover.compare import compare, compares_hovers
+from trimtab.host.trace.hover.compare import compares_hovers
 from trimtab.host.trace.result import Trace
+from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol.blobs import Node, Reference
 
@@ -56,9 +56,12 @@ def before(tmp_path_factory: pytest.TempPathFactory) -> list[Flight]:
     return [hovered(folder, UNEVEN, seed) for seed in (1, 2, 3)]
 
 
-def compared(before: list[Flight], after: list[Flight]) -> Trace:
+def compared(before: list[Flight], after: list[Flight], held_out: Sequence[Flight] = ()) -> Trace:
     assert compares_hovers([*before, *after])
-    return compare(read_logs([*before, *after], (), None), load_effects(), len(before), None)
+    result = run(after, held_out, load_effects(), baseline=before)
+    assert result.baseline is not None
+    assert result.baseline.logs == tuple(flight.path.name for flight in before)
+    return result
 
 
 def explanations(result: Trace) -> set[str]:
@@ -132,6 +135,11 @@ def test_the_same_logs_give_the_same_numbers(tmp_path: Path, before: list[Flight
     after = [hovered(tmp_path, UNEVEN | lost(1, 0.2), 11)]
     one, two = (compared(before, after).to_dict() for _ in range(2))
     assert one == two
+
+
+def test_no_flight_is_predicted(tmp_path: Path, before: list[Flight]) -> None:
+    with pytest.raises(LogsRefused, match=r"1\.mcap: .* leave out --hold-out"):
+        compared(before[1:], [hovered(tmp_path, UNEVEN, 11)], [replace(before[0], reference_id=None)])
 
 
 def test_a_log_that_hardly_flies_is_refused(before: list[Flight]) -> None:
