@@ -71,7 +71,7 @@ from trimtab.sitl.studies.flights import Programme
 def main():
     programme = Programme(routes=Path(sys.argv[2]), learning=("one",), held_out=("two",))
     outcome = blind.run(
-        folder=Path(sys.argv[1]), seed=3, worlds=6, few_flights=0.5, vehicle="research", jobs=2,
+        folder=Path(sys.argv[1]), seed=3, worlds=6, few_flights=0.25, vehicle="research", jobs=2,
         programme=programme,
         on_progress=lambda done, total, detail: print(f"{done:g} of {total:g} {detail}", flush=True),
     )
@@ -166,7 +166,7 @@ def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
         usual = {
             "seed": 3,
             "worlds": 6,
-            "few_flights": 0.5,
+            "few_flights": 0.25,
             "vehicle": "research",
             "jobs": 1,
             "programme": short_programme,
