@@ -3,15 +3,18 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from tests.sitl.studies.labels.made_up import made_up_world
+from trimtab.host.apps.paper.controllers import models
 from trimtab.host.apps.paper.controllers.models import LABEL_SETTINGS
 from trimtab.host.apps.paper.controllers.table import REGRESSORS
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.pieces import Piece
 from trimtab.host.learn import CondensedSettings
 from trimtab.host.learn.supervised import learn_supervised
 from trimtab.host.log import read_flight
@@ -67,13 +70,23 @@ def test_study_resumes_from_its_pieces_and_makes_a_page(tmp_path: Path) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.full  # learns seven models and flies twenty times
-def test_study_learns_and_flies_a_world(tmp_path: Path) -> None:
+@pytest.mark.full  # learns seven models and flies ten times
+def test_study_learns_and_flies_a_world(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """The piece of a world with small networks and short training, computed in this process."""
+    for module in (study, models):
+        monkeypatch.setattr(module, "TRAINING_COURSES", 2)
+        monkeypatch.setattr(module, "LABEL_SETTINGS", SMALL)
+    monkeypatch.setattr(models, "PAPER_SETTINGS", replace(models.PAPER_SETTINGS, hidden=(4,), epochs=3))
+    monkeypatch.setattr(models, "BODY_LAYOUT", SMALL["ours"].layout)
+    piece = Piece(name="world-00", kind="world", arguments={"world": 0})
+    result = study._work(piece, str(tmp_path), seed=9300, vehicle="research", scope=study.QUICK)
+    (tmp_path / "pieces").mkdir()
+    (tmp_path / "pieces" / "world-00.json").write_text(json.dumps({"result": result}))
     found = study.run(folder=tmp_path, seed=9300, vehicle="research", jobs=1, quick=True)
     controllers = {row["controller"] for row in found["answer"]["rows"]}
     assert controllers == {NOMINAL, NEURAL, SMOOTHED, TRUTH}
     assert found["answer"]["failed"] == []
-    models = tmp_path / "worlds" / "world-00"
-    marked = {path.name for path in models.glob("*.model.toml") if "true" in path.read_text("utf-8")}
+    world = tmp_path / "worlds" / "world-00"
+    marked = {path.name for path in world.glob("*.model.toml") if "true" in path.read_text("utf-8")}
     assert marked == {f"{regressor}-labels-truth.model.toml" for regressor in REGRESSORS}
-    assert read_model(models / "ours-labels-truth.model.toml").network is not None
+    assert read_model(world / "ours-labels-truth.model.toml").network is not None
