@@ -95,10 +95,12 @@ def test_same_calls_give_the_same_commands() -> None:
 def test_commands_without_a_compiler_are_nearly_the_same(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
-    compiled = fly(_controller("mpc-neural"), Plant(DRAGGED), reference("hover"))
+    route = load_route("hover", None, VEHICLE).model_copy(update={"total_time_s": 4.0})
+    hover = plan(route, VEHICLE, stretch=True).reference
+    compiled = fly(_controller("mpc-neural"), Plant(DRAGGED), hover)
     monkeypatch.setenv("TRIMTAB_ENGINE", "vm")
     controller = Mpc(settings("mpc-neural"), VEHICLE, model=drag_model(), effects=EFFECTS)
-    machine = fly(controller, Plant(DRAGGED), reference("hover"))
+    machine = fly(controller, Plant(DRAGGED), hover)
     low, high = NOMINAL.input_bounds()
     assert (np.abs(_commands(compiled) - _commands(machine)) <= 5e-4 * (high - low)).all()
 

@@ -84,8 +84,8 @@ def test_predict_whole_flights_are_those_of_the_library_and_segments_err_less():
 def test_predict_ahead_is_that_of_learn_for_flights_held_out(tmp_path):
     field = Airfield(vehicle=VEHICLE, world=WORLD, world_seed=9100, session={"seed": "0"})
     laws = [Controller(name=BASELINE), on_host(VEHICLE, model(), EFFECTS)[0]]
-    for law, duration_s in zip(laws, (9.0, 6.0), strict=True):
-        reference = figure_eight(VEHICLE, duration_s=duration_s, size_m=0.8)
+    for law, duration_s in zip(laws, (6.0, 4.0), strict=True):
+        reference = figure_eight(VEHICLE, duration_s=duration_s, size_m=0.5)
         field.fly(reference, 1, tmp_path / f"{law.name}.mcap", control=law.control)
     used, *flights = (read_flight(tmp_path / f"{law.name}.mcap") for law in laws)
     found = models.predict(flights, None, EFFECTS, horizons=[models.AHEAD])
