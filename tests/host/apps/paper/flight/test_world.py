@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from tests.narrowing import not_none
+from tests.rate_controller import RateController
 from tests.sessions.conftest import figure_eight
 from trimtab.host.apps.demo.flights import Airfield
 from trimtab.host.apps.paper.flight import models, pretzel
@@ -31,6 +32,7 @@ from trimtab.host.base.errors import FlightFailed
 from trimtab.host.effects import load_effects
 from trimtab.host.learn import CondensedSettings, learn
 from trimtab.host.learn.evaluate import model_errors
+from trimtab.host.link.host_control import HostControl
 from trimtab.host.log import read_flight
 from trimtab.host.log.tracking import tracking_error
 from trimtab.host.models.correction import correction
@@ -83,11 +85,11 @@ def test_predict_whole_flights_are_those_of_the_library_and_segments_err_less():
 
 def test_predict_ahead_is_that_of_learn_for_flights_held_out(tmp_path):
     field = Airfield(vehicle=VEHICLE, world=WORLD, world_seed=9100, session={"seed": "0"})
-    laws = [Controller(name=BASELINE), on_host(VEHICLE, model(), EFFECTS)[0]]
-    for law, duration_s in zip(laws, (6.0, 4.0), strict=True):
-        reference = figure_eight(VEHICLE, duration_s=duration_s, size_m=0.5)
-        field.fly(reference, 1, tmp_path / f"{law.name}.mcap", control=law.control)
-    used, *flights = (read_flight(tmp_path / f"{law.name}.mcap") for law in laws)
+    steered = HostControl(controller=RateController(VEHICLE), name="outer-loop", settings_id="0" * 12)
+    for name, duration_s, control in (("on-board", 9.0, None), ("on-host", 6.0, steered)):
+        reference = figure_eight(VEHICLE, duration_s=duration_s, size_m=0.8)
+        field.fly(reference, 1, tmp_path / f"{name}.mcap", control=control)
+    used, *flights = (read_flight(tmp_path / f"{name}.mcap") for name in ("on-board", "on-host"))
     found = models.predict(flights, None, EFFECTS, horizons=[models.AHEAD])
     learned = learn(
         [used],
