@@ -6,6 +6,9 @@ torque and one against its acceleration (prop_inertia). Speeds of rotors are in 
 north-west-up and forward-left-up.
 """
 
+# pyright: reportMissingImports=false
+# crazyflow is of the extra `plants`.
+
 from __future__ import annotations
 
 import io

@@ -8,6 +8,9 @@ along z at the centre of mass, the rotors' gyroscopic torque, and a lag of its o
 RotorPy's frames are north-west-up and forward-left-up.
 """
 
+# pyright: reportMissingImports=false
+# RotorPy is of the extra `plants`.
+
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
