@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import shutil
 import signal
 import socket
 import subprocess
@@ -91,14 +92,9 @@ def staying(*words: str) -> Iterator[str]:
             process.communicate()
 
 
-@pytest.fixture
-def serve() -> Iterator[Callable[..., str]]:
-    """Starts a simulated vehicle: serve("udp:127.0.0.1:0") -> the address, HOST:PORT or a device.
-
-    `sitl` and `poses` are further options of the two verbs.
-
-    Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
-    """
+@contextmanager
+def serving() -> Iterator[Callable[..., str]]:
+    """Start simulated vehicles that stay until the end of the context: what the fixture `serve` gives."""
     with ExitStack() as stack:
 
         def start(
@@ -115,23 +111,51 @@ def serve() -> Iterator[Callable[..., str]]:
 
 
 @pytest.fixture
-def key_file(tmp_path: Path) -> Path:
+def serve() -> Iterator[Callable[..., str]]:
+    """Starts a simulated vehicle: serve("udp:127.0.0.1:0") -> the address, HOST:PORT or a device.
+
+    `sitl` and `poses` are further options of the two verbs.
+
+    Over UDP, `trimtab poses` forwards the camera system's poses to the same port.
+    """
+    with serving() as start:
+        yield start
+
+
+@pytest.fixture(scope="module")
+def on_the_floor() -> Iterator[str]:
+    """The UDP address of a vehicle that the last tests of a module share: it never arms."""
+    with serving() as start:
+        yield start()
+
+
+@pytest.fixture(scope="session")
+def key_file(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A new key, as `trimtab key new` makes it."""
-    path = tmp_path / "lab.key"
+    path = tmp_path_factory.mktemp("key") / "lab.key"
     subprocess.run(run("key", "new", str(path)), check=True, capture_output=True)
     return path
 
 
+@pytest.fixture(scope="session")
+def memory_with_key(key_file: Path) -> Path:
+    """What a vehicle remembers after the key was installed by cable."""
+    memory = key_file.parent / "vehicle.memory"
+    with staying("sitl", "--port", "pty", "--world", "wired", "--memory", str(memory)) as device:
+        install = run("key", "install", str(key_file), "--port", device)
+        subprocess.run(install, check=True, capture_output=True)
+    return memory
+
+
 @pytest.fixture
-def serve_with_key(serve: Callable[..., str], key_file: Path, tmp_path: Path) -> Callable[..., str]:
+def serve_with_key(
+    serve: Callable[..., str], key_file: Path, memory_with_key: Path, tmp_path: Path
+) -> Callable[..., str]:
     """Like `serve`, over the radio, after the key was installed by cable."""
 
     def start(port: str = "udp:127.0.0.1:0") -> str:
-        memory = ("--memory", str(tmp_path / "vehicle.memory"))
-        with staying("sitl", "--port", "pty", "--world", "wired", *memory) as device:
-            install = run("key", "install", str(key_file), "--port", device)
-            subprocess.run(install, check=True, capture_output=True)
-        return serve(port, sitl=memory, poses=("--key", str(key_file)))
+        memory = shutil.copy(memory_with_key, tmp_path / "vehicle.memory")
+        return serve(port, sitl=("--memory", str(memory)), poses=("--key", str(key_file)))
 
     return start
 

@@ -39,11 +39,11 @@ def test_takeoff_and_land_example_runs(serve: Callable[..., str], connect: Calla
 
 
 def test_parameters_that_are_refused_have_true_results(
-    serve: Callable[..., str], connect: Callable[[str], Any]
+    on_the_floor: str, connect: Callable[[str], Any]
 ) -> None:
     from mavsdk.plugins.param import ParamError, ParamResult
 
-    param = connect(f"udpout://{serve()}").param
+    param = connect(f"udpout://{on_the_floor}").param
 
     def result(act: Callable[..., Any], *words: Any) -> ParamResult:
         with pytest.raises(ParamError) as caught:
@@ -59,11 +59,11 @@ def test_parameters_that_are_refused_have_true_results(
 
 
 def test_missions_fences_and_rally_points_are_unsupported(
-    serve: Callable[..., str], connect: Callable[[str], Any]
+    on_the_floor: str, connect: Callable[[str], Any]
 ) -> None:
     from mavsdk.plugins.mission_raw import MissionItem, MissionRaw, MissionRawError
 
-    raw = MissionRaw(connect(f"udpout://{serve()}").system)
+    raw = MissionRaw(connect(f"udpout://{on_the_floor}").system)
 
     def item(kind: int, command: int) -> MissionItem:
         place: dict[str, Any] = {"x": 473977420, "y": 85455940, "z": 5.0, "mission_type": kind}
@@ -80,13 +80,11 @@ def test_missions_fences_and_rally_points_are_unsupported(
     assert raw.download_mission() == raw.download_geofence() == raw.download_rallypoints() == []
 
 
-def test_logs_and_shell_end_with_what_there_is(
-    serve: Callable[..., str], connect: Callable[[str], Any]
-) -> None:
+def test_logs_and_shell_end_with_what_there_is(on_the_floor: str, connect: Callable[[str], Any]) -> None:
     from mavsdk.plugins.log_files import LogFiles, LogFilesError
     from mavsdk.plugins.shell import Device, Shell
 
-    system = connect(f"udpout://{serve()}").system
+    system = connect(f"udpout://{on_the_floor}").system
     with pytest.raises(LogFilesError, match=r"^NO_LOGFILES"):
         LogFiles(system).get_entries()
     shell, heard, lines = Shell(system), threading.Event(), []
@@ -102,12 +100,12 @@ def test_logs_and_shell_end_with_what_there_is(
 
 
 def test_upload_of_a_file_that_is_too_large_ends_at_once(
-    serve: Callable[..., str], connect: Callable[[str], Any], reference_file: Path, tmp_path: Path
+    on_the_floor: str, connect: Callable[[str], Any], reference_file: Path, tmp_path: Path
 ) -> None:
     """Its first packet is refused: the vehicle never holds the rest."""
     from mavsdk.plugins.ftp import Ftp, FtpResult
 
-    vehicle = connect(f"udpout://{serve()}")
+    vehicle = connect(f"udpout://{on_the_floor}")
     data = bytearray(reference_file.read_bytes())
     data[38:42] = (6000).to_bytes(4, "little")  # the count of nodes
     file = tmp_path / "staged.ref"

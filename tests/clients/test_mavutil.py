@@ -33,8 +33,8 @@ def as_float(value: int) -> float:
 
 
 @pytest.mark.parametrize(
-    ("port", "url"), [("pty", ""), ("tcp:127.0.0.1:0", "tcp:"), ("udp:127.0.0.1:0", "udpout:")]
-)
+    ("port", "url"), [("pty", ""), ("tcp:127.0.0.1:0", "tcp:")]
+)  # all others go over UDP
 def test_mavutil_reads_and_sets_parameters_over(
     port: str,
     url: str,
@@ -60,8 +60,91 @@ def test_mavutil_reads_and_sets_parameters_over(
     assert as_int(again["BAT_CELLS"][0]) == 6
 
 
-def test_mavutil_small_services(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+def test_mavutil_cannot_arm_where_no_poses_come(
+    serve: Callable[..., str], station: Callable[..., Any]
+) -> None:
+    own = station("tcp:" + serve("tcp:127.0.0.1:0"))
+    own.answer("HEARTBEAT")
+    while not any("no mocap" in text for text in own.texts):  # a text may be lost
+        assert own.command(ARM, 1) == own.command_int(ARM, 1) == TEMPORARILY_REJECTED
+    assert not own.armed
+
+
+LOSSLESS = """description = "A radio that loses, repeats and damages nothing"
+tolerances = true
+[radio]
+loss = 0.0
+duplicate = 0.0
+corrupt = 0.0
+"""
+
+
+@pytest.mark.parametrize("lossless", [True, False])
+def test_mavutil_shows_the_loss_of_the_link(
+    lossless: bool, serve: Callable[..., str], station: Callable[..., Any], tmp_path: Path
+) -> None:
+    """mavutil counts 255 lost messages for each that another message of its component overtook."""
+    world = tmp_path / "lossless.toml"
+    world.write_text(LOSSLESS)
+    own = station("udpout:" + serve(sitl=["--world", str(world)] if lossless else []))
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 20, 1)
+    own.parameters()
+    own.until(lambda: own.link.mav_count > 1500)
+    assert own.link.packet_loss() == pytest.approx(100.0 * own.downlink_loss(), abs=1.0)
+    if lossless:
+        assert own.link.mav_loss == 0
+
+
+def test_script_of_the_page_reads_private_messages(serve: Callable[..., str], tmp_path: Path) -> None:
+    """mavutil with Trimtab's dialect as its own, in a process of its own: the dialect is global."""
+    _, script = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), flags=re.MULTILINE | re.DOTALL)
+    (tmp_path / "watch.py").write_text(script)
+    done = subprocess.run(
+        [sys.executable, "watch.py", f"udpout:{serve()}"],
+        cwd=tmp_path,
+        stdout=subprocess.PIPE,
+        text=True,
+        check=True,
+    )
+    motors, state, loss = done.stdout.splitlines()[-3:]
+    assert motors.startswith("motor commands [")
+    assert state == "state 2"
+    found = re.fullmatch(r"([\d.]+) % of \d+ messages lost", loss)
+    assert found is not None
+    assert float(found[1]) < 10.0
+
+
+def test_mavutil_takes_off_and_lands(serve: Callable[..., str], station: Callable[..., Any]) -> None:
     own = station("udpout:" + serve())
+    own.answer("HEARTBEAT")
+    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == TEMPORARILY_REJECTED  # not armed
+    own.arm()
+    assert own.command(SET_INTERVAL, LOCAL_POSITION, 50_000) == ACCEPTED
+    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == ACCEPTED
+    own.until(lambda: bool(own.track) and own.track[-1][2] < -0.9)
+    assert own.command(LAND) == ACCEPTED
+    own.until(lambda: not own.armed)
+    assert own.track[-1][2] == pytest.approx(0.0, abs=0.15)
+
+
+def test_mavutil_sets_the_origin_of_the_globe(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+    own = station("udpout:" + serve())
+    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
+    latitude, longitude, altitude_mm = -335000001, 1512345678, 12_500
+    told = own.answer(
+        "GPS_GLOBAL_ORIGIN",
+        lambda: own.link.mav.set_gps_global_origin_send(1, latitude, longitude, altitude_mm),
+    )
+    assert (told.latitude, told.longitude, told.altitude) == (latitude, longitude, altitude_mm)
+    globe = own.answer("GLOBAL_POSITION_INT", fits=lambda m: m.lat < 0)
+    assert (globe.lat, globe.lon) == pytest.approx((latitude, longitude), abs=50)  # half a metre
+    assert globe.alt == pytest.approx(altitude_mm, abs=100)
+    assert own.answer("VFR_HUD").groundspeed < 0.1
+
+
+def test_mavutil_small_services(on_the_floor: str, station: Callable[..., Any]) -> None:
+    own = station("udpout:" + on_the_floor)
     own.answer("HEARTBEAT")
 
     # Commands, long and int alike.
@@ -98,21 +181,9 @@ def test_mavutil_small_services(serve: Callable[..., str], station: Callable[...
         assert count.count == 0
 
 
-def test_mavutil_cannot_arm_where_no_poses_come(
-    serve: Callable[..., str], station: Callable[..., Any]
-) -> None:
-    own = station("tcp:" + serve("tcp:127.0.0.1:0"))
-    own.answer("HEARTBEAT")
-    while not any("no mocap" in text for text in own.texts):  # a text may be lost
-        assert own.command(ARM, 1) == own.command_int(ARM, 1) == TEMPORARILY_REJECTED
-    assert not own.armed
-
-
-def test_mavutil_streams_what_a_station_watches(
-    serve: Callable[..., str], station: Callable[..., Any]
-) -> None:
+def test_mavutil_streams_what_a_station_watches(on_the_floor: str, station: Callable[..., Any]) -> None:
     """A heartbeat is enough for modest telemetry; REQUEST_DATA_STREAM is understood too."""
-    own = station("udpout:" + serve())
+    own = station("udpout:" + on_the_floor)
     own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
     own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 4, 1)
     attitude = own.answer("ATTITUDE")
@@ -123,71 +194,8 @@ def test_mavutil_streams_what_a_station_watches(
     own.answer("SYS_STATUS", fits=lambda m: m.onboard_control_sensors_health & needed == needed)
 
 
-def test_mavutil_sets_the_origin_of_the_globe(serve: Callable[..., str], station: Callable[..., Any]) -> None:
-    own = station("udpout:" + serve())
-    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
-    latitude, longitude, altitude_mm = -335000001, 1512345678, 12_500
-    told = own.answer(
-        "GPS_GLOBAL_ORIGIN",
-        lambda: own.link.mav.set_gps_global_origin_send(1, latitude, longitude, altitude_mm),
-    )
-    assert (told.latitude, told.longitude, told.altitude) == (latitude, longitude, altitude_mm)
-    globe = own.answer("GLOBAL_POSITION_INT", fits=lambda m: m.lat < 0)
-    assert (globe.lat, globe.lon) == pytest.approx((latitude, longitude), abs=50)  # half a metre
-    assert globe.alt == pytest.approx(altitude_mm, abs=100)
-    assert own.answer("VFR_HUD").groundspeed < 0.1
-
-
-LOSSLESS = """description = "A radio that loses, repeats and damages nothing"
-tolerances = true
-[radio]
-loss = 0.0
-duplicate = 0.0
-corrupt = 0.0
-"""
-
-
-@pytest.mark.parametrize("lossless", [True, False])
-def test_mavutil_shows_the_loss_of_the_link(
-    lossless: bool, serve: Callable[..., str], station: Callable[..., Any], tmp_path: Path
-) -> None:
-    """mavutil counts 255 lost messages for each that another message of its component overtook."""
-    world = tmp_path / "lossless.toml"
-    world.write_text(LOSSLESS)
-    own = station("udpout:" + serve(sitl=["--world", str(world)] if lossless else []))
-    own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
-    own.link.mav.request_data_stream_send(1, 1, own.mavlink.MAV_DATA_STREAM_ALL, 20, 1)
-    own.parameters()
-    own.until(lambda: own.link.mav_count > 2500)
-    assert own.link.packet_loss() == pytest.approx(100.0 * own.downlink_loss(), abs=1.0)
-    if lossless:
-        assert own.link.mav_loss == 0
-
-
-def test_script_of_the_page_reads_private_messages(serve: Callable[..., str], tmp_path: Path) -> None:
-    """mavutil with Trimtab's dialect as its own, in a process of its own: the dialect is global."""
-    _, script = re.findall(r"^```python\n(.*?)^```$", PAGE.read_text(), flags=re.MULTILINE | re.DOTALL)
-    (tmp_path / "watch.py").write_text(script)
-    done = subprocess.run(
-        [sys.executable, "watch.py", f"udpout:{serve()}"],
-        cwd=tmp_path,
-        stdout=subprocess.PIPE,
-        text=True,
-        check=True,
-    )
-    motors, state, loss = done.stdout.splitlines()[-3:]
-    assert motors.startswith("motor commands [")
-    assert state == "state 2"
-    found = re.fullmatch(r"([\d.]+) % of \d+ messages lost", loss)
-    assert found is not None
-    assert float(found[1]) < 10.0
-
-
-def test_several_stations_each_get_their_own_answers(
-    serve: Callable[..., str], station: Callable[..., Any]
-) -> None:
-    address = serve()
-    stations = [station(f"udpout:{address}", system=system) for system in (201, 202, 203)]
+def test_several_stations_each_get_their_own_answers(on_the_floor: str, station: Callable[..., Any]) -> None:
+    stations = [station(f"udpout:{on_the_floor}", system=system) for system in (201, 202, 203)]
     for own in stations:
         own.answer("HEARTBEAT")
     assert [own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION) for own in stations] == [ACCEPTED] * 3
@@ -200,9 +208,9 @@ def test_several_stations_each_get_their_own_answers(
     assert everything[0]["HOLD_S"][0] == pytest.approx(1.3)
 
 
-def test_qgroundcontrols_handshake(serve: Callable[..., str], station: Callable[..., Any]) -> None:
+def test_qgroundcontrols_handshake(on_the_floor: str, station: Callable[..., Any]) -> None:
     """The requests of QGroundControl's initial connection, in its order: each one is answered."""
-    own = station("udpout:" + serve(), system=255)
+    own = station("udpout:" + on_the_floor, system=255)
     heartbeat = own.answer("HEARTBEAT", fits=lambda m: m.get_srcComponent() == 1)
     assert heartbeat.type == own.mavlink.MAV_TYPE_QUADROTOR
     own.answer("AUTOPILOT_VERSION", lambda: own.command(REQUEST_MESSAGE, AUTOPILOT_VERSION))
@@ -218,16 +226,3 @@ def test_qgroundcontrols_handshake(serve: Callable[..., str], station: Callable[
         )
     own.answer("HOME_POSITION", lambda: own.command(REQUEST_MESSAGE, HOME_POSITION))
     assert own.command(SET_INTERVAL, HOME_POSITION, 1_000_000) == ACCEPTED
-
-
-def test_mavutil_takes_off_and_lands(serve: Callable[..., str], station: Callable[..., Any]) -> None:
-    own = station("udpout:" + serve())
-    own.answer("HEARTBEAT")
-    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == TEMPORARILY_REJECTED  # not armed
-    own.arm()
-    assert own.command(SET_INTERVAL, LOCAL_POSITION, 50_000) == ACCEPTED
-    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == ACCEPTED
-    own.until(lambda: bool(own.track) and own.track[-1][2] < -0.9)
-    assert own.command(LAND) == ACCEPTED
-    own.until(lambda: not own.armed)
-    assert own.track[-1][2] == pytest.approx(0.0, abs=0.15)
