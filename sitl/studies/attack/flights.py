@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from dataclasses import asdict, dataclass
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -93,7 +94,7 @@ def interfere(kind: str, address: str, *, signed: bool, seed: int) -> dict[str, 
 
     address: a key of STATIONS. With `signed`, vehicle and host have a key and the stranger has none.
     """
-    quiet, _ = _fly(lambda stranger: [], ADDRESS, signed=signed, seed=seed)
+    quiet = _quiet(signed=signed, seed=seed)
     track, ended = _fly(KINDS[kind](), STATIONS[address], signed=signed, seed=seed)
     result = ended if isinstance(ended, FlightResult) else None
     end = None if result is None else result.end
@@ -113,6 +114,12 @@ def interfere(kind: str, address: str, *, signed: bool, seed: int) -> dict[str, 
         error=str(ended) if isinstance(ended, TrimtabError) else None,
     )
     return {**asdict(outcome), "changed": outcome.changed, "misreported": outcome.misreported}
+
+
+@cache
+def _quiet(*, signed: bool, seed: int) -> Track:
+    """Return the track of the flight beside a stranger that does nothing."""
+    return _fly(lambda stranger: [], ADDRESS, signed=signed, seed=seed)[0]
 
 
 def _crashed(track: Track) -> bool:
