@@ -23,7 +23,9 @@ esac
 """
 
 
-def set_up(folder: Path, **broken: int) -> tuple[subprocess.CompletedProcess[str], list[str]]:
+def set_up(
+    folder: Path, lock: str = "requirements.lock", /, **broken: int
+) -> tuple[subprocess.CompletedProcess[str], list[str]]:
     """What `.ci/venv` does in `folder` with a stand-in Python, and the calls that one got."""
     (folder / ".ci").mkdir(exist_ok=True)
     shutil.copy(ROOT / ".ci" / "venv", folder / ".ci" / "venv")
@@ -40,7 +42,7 @@ def set_up(folder: Path, **broken: int) -> tuple[subprocess.CompletedProcess[str
     (tools / "python3").write_text(STAND_IN.format(log=log, **answers))
     (tools / "python3").chmod(0o755)
     done = subprocess.run(
-        [str(folder / ".ci" / "venv"), "requirements.lock", ".venv/stamp"],
+        [str(folder / ".ci" / "venv"), lock, ".venv/stamp"],
         env={"PATH": str(tools)},
         capture_output=True,
         text=True,
@@ -56,6 +58,14 @@ def test_venv_with_pip_installs_lock_then_checkout(tmp_path: Path) -> None:
     assert "--require-hashes -r requirements.lock" in installs[0]
     assert "--no-deps --no-build-isolation -e ." in installs[1]
     assert (tmp_path / ".venv" / "stamp").exists()
+
+
+def test_another_lock_leaves_the_checkout_as_it_is_installed(tmp_path: Path) -> None:
+    set_up(tmp_path)
+    done, calls = set_up(tmp_path, "requirements-all.lock")
+    assert done.returncode == 0, done.stderr
+    (install,) = (call for call in calls if "install" in call)
+    assert "--require-hashes -r requirements-all.lock" in install
 
 
 def test_python_without_ensurepip_uses_the_systems_pip(tmp_path: Path) -> None:
