@@ -109,13 +109,19 @@ def with_torque(models: Mapping[str, Model | None], vehicle: Vehicle) -> dict[st
 
 
 def predict(
-    flights: Sequence[Flight], model: Model | None, effects: Mapping[str, Effect], *, horizons: Sequence[str]
+    flights: Sequence[Flight],
+    model: Model | None,
+    effects: Mapping[str, Effect],
+    *,
+    horizons: Sequence[str],
+    states: Sequence[States] | None = None,
 ) -> dict[str, Errors]:
     """Return a model's errors on flights of one vehicle and one setting; None: the vehicle file alone.
 
     horizons: one or more of FLIGHTS, SEGMENTS and AHEAD; flights by a controller on the host have AHEAD only.
+    states: those of the flights, for callers that predict the same flights by several models.
     """
-    states = flight_states(flights)
+    states = flight_states(flights) if states is None else states
     parts = model_parts(model, effects)
     phi = Phi(
         vehicle=flights[0].vehicle,

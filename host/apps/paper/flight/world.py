@@ -41,6 +41,7 @@ from trimtab.host.effects import Effect, load_effects
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
+from trimtab.host.models.states import flight_states
 from trimtab.host.plan import ResidualModel
 from trimtab.host.vehicle import Vehicle
 
@@ -168,10 +169,11 @@ def _errors(
     horizons: Sequence[str],
 ) -> dict[str, Any]:
     """Return the prediction errors of each model on the same flights, by horizon; None where it diverged."""
+    states = flight_states(flights)
     return {
         name: {
             horizon: errors.to_json()
-            for horizon, errors in predict(flights, model, effects, horizons=horizons).items()
+            for horizon, errors in predict(flights, model, effects, horizons=horizons, states=states).items()
         }
         for name, model in models.items()
     }
