@@ -91,7 +91,8 @@ def separation(
 
     lambda^2 = theta' S' (I - Q) S theta. S holds the whitened slopes of all parameters. Q projects on the
     alias and the other present effects, free under the slab of the prior, and on all other parameters, under
-    the spike.
+    the spike. The parameters of `effect` are among the latter: where the effect is absent, they still deviate
+    within tolerance, so an effect of n tolerances never stands out by more than n sigma.
 
     Parameters
     ----------
@@ -115,6 +116,8 @@ def separation(
     inner = gram[np.ix_(others, others)] + np.diag(precision[others])
     cross = gram[np.ix_(others, columns)]
     information = gram[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(inner, cross)
+    within = np.diag((prior or space.prior).precision(())[columns])
+    information = within @ np.linalg.solve(information + within, information)
     return float(np.sqrt(max(theta_scaled[columns] @ information @ theta_scaled[columns], 0.0)))
 
 
