@@ -11,8 +11,9 @@ The residual of a segment is r = X dx0 + S dtheta + L dl + Z w + e:
 Segments are reduced flight by flight: of the Gram matrix of [r | S | L | Z], the part without w is summed
 over a flight, and the part of w is kept for each segment. So the evidence of any set of effects costs one
 small solve. The prior is spike and slab. A parameter of an effect that is not selected moves within
-its tolerance and discrepancy combined. A parameter of a selected effect has a standard deviation of
-RULES.slab_sigma typical sizes.
+its tolerance and discrepancy combined. A parameter of a selected effect is fitted with a standard deviation
+of RULES.slab_sigma typical sizes. The order of magnitude of its size is not known beforehand, so the
+evidence averages over smaller standard deviations too (`_gain_of_sizes`).
 """
 
 from __future__ import annotations
@@ -43,16 +44,18 @@ _FIXED = 1e-3
 class Prior:
     """Prior standard deviations of parameters and nuisances.
 
-    groups: column indices of each candidate or adjustment. forms: those of the form of its effect. spike:
-    standard deviation of each parameter, scaled, if its effect is not selected; of a form, if it is selected.
-    nuisance_sigma: those of a flight's nuisances, in physical units. added: for each column, the one to which
-    it adds, so that the bounds are those of the sum; -1 for none. None if no column adds to another.
+    groups: column indices of each candidate or adjustment. strengths: those of them that give the size of a
+    candidate. forms: those of the form of its effect. spike: standard deviation of each parameter, scaled, if
+    its effect is not selected; of a form, if it is selected. nuisance_sigma: those of a flight's nuisances,
+    in physical units. added: for each column, the one to which it adds, so that the bounds are those of the
+    sum; -1 for none. None if no column adds to another.
     """
 
     groups: dict[str, tuple[int, ...]]
     spike: Annotated[np.ndarray, "parameters"]
     nuisance_sigma: Annotated[np.ndarray, "nuisances"]
     forms: dict[str, tuple[int, ...]] = field(default_factory=dict)
+    strengths: dict[str, tuple[int, ...]] = field(default_factory=dict)
     added: Annotated[np.ndarray, "parameters"] | None = None
 
     @cached_property
@@ -136,15 +139,48 @@ def log_evidences(
     precision = np.stack([prior.precision(names) for names in sets])
     rhs = gram[0, 1:] - precision * theta_scaled
     normal = gram[1:, 1:] + precision[:, :, None] * np.eye(len(theta_scaled))
-    chol = np.linalg.cholesky(normal)
-    half = np.linalg.solve(chol, rhs[:, :, None])
-    free = np.linalg.solve(chol.swapaxes(1, 2), half)[:, :, 0]
-    excess = _minimise_within(normal, free, theta_scaled, limits, prior.added) - free
-    quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - np.square(half).sum((1, 2))
+    chol, covariance = np.linalg.cholesky(normal), np.linalg.inv(normal)
+    free = (covariance @ rhs[:, :, None])[:, :, 0]
+    step = _minimise_within(normal, free, theta_scaled, limits, prior.added)
+    excess = step - free
+    quadratic = gram[0, 0] + precision @ (theta_scaled * theta_scaled) - (rhs * free).sum(1)
     quadratic += np.einsum("si,sij,sj->s", excess, normal, excess)
     occam = 2.0 * np.log(np.einsum("sii->si", chol)).sum(1) - np.log(precision).sum(1)
     odds = RULES.prior_log_odds * np.array([len(names) for names in sets])
-    return (-0.5 * (quadratic + occam + log_det) + odds).tolist()
+    sizes = _gain_of_sizes(prior, sets, theta_scaled + step, covariance)
+    return (-0.5 * (quadratic + occam + log_det) + odds + sizes).tolist()
+
+
+def _gain_of_sizes(
+    prior: Prior,
+    sets: Sequence[Sequence[str]],
+    mean: Annotated[np.ndarray, "sets parameters"],
+    covariance: Annotated[np.ndarray, "sets parameters parameters"],
+) -> Annotated[np.ndarray, "sets"]:
+    """Return by how many nats the evidence changes if each effect may also be small.
+
+    The prior of the strengths of an effect becomes an equal mixture of normal distributions, with a standard
+    deviation of RULES.slab_sigma and with that halved up to RULES.slab_halvings times. The widest alone would
+    hold an effect of a fifth of the typical size for improbable, the more so the more strengths it has.
+
+    mean, covariance: of the posterior under the widest, of each set. The change is the mean, over that
+    posterior, of the ratio of the two priors. It is exact for each effect, and taken effect by effect.
+    """
+    widths = RULES.slab_sigma * 0.5 ** np.arange(RULES.slab_halvings + 1)
+    added = (widths**-2 - RULES.slab_sigma**-2)[:, None, None]
+    gain = np.zeros(len(sets))
+    for name, columns in prior.strengths.items():
+        rows = [row for row, names in enumerate(sets) if name in names]
+        if not rows:
+            continue
+        variance, axes = np.linalg.eigh(covariance[np.ix_(rows, columns, columns)])
+        square = np.einsum("sij,si->sj", axes, mean[np.ix_(rows, columns)]) ** 2
+        narrowed = 1.0 + added * variance
+        ratios = -np.log(widths / RULES.slab_sigma)[:, None, None] - 0.5 * (
+            np.log(narrowed) + added * square / narrowed
+        )
+        gain[rows] += np.logaddexp.reduce(ratios.sum(2), axis=0) - np.log(len(widths))
+    return gain
 
 
 def _minimise_within(

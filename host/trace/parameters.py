@@ -164,6 +164,10 @@ class ParameterSpace:
         return Prior(
             groups=self.groups,
             forms=self.forms,
+            strengths={
+                name: tuple(i for i in self.groups[name] if self.columns[i].strength)
+                for name in self.candidates
+            },
             spike=spike,
             nuisance_sigma=np.array(self.nuisance_sigma),
             added=self.added,

@@ -33,6 +33,12 @@ class Rules:
     slab_sigma: float = _rule(
         2.0, "typical sizes", "Prior standard deviation of a parameter whose effect is selected."
     )
+    slab_halvings: int = _rule(
+        3,
+        "halvings",
+        "The order of magnitude of an effect is unknown: its prior standard deviation is `slab_sigma`, or "
+        "that halved once, and so on up to this many times, each with the same probability.",
+    )
     disturbance_correlation: float = _rule(
         0.75, "1", "Correlation of the process disturbance between neighbouring bins of 0.1 s."
     )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
@@ -102,6 +102,27 @@ def test_log_evidence_of_a_set_is_the_gaussian_marginal_likelihood_up_to_a_const
         white.gram, white.log_det, dense.lin.theta_scaled, PRIOR, [("b",), chosen], FREE
     )
     assert value == pytest.approx(expected, abs=1e-7)
+
+
+@pytest.mark.parametrize("name", ["a", "b"])
+def test_log_evidence_averages_the_marginal_likelihoods_over_the_orders_of_magnitude(
+    dense: Dense, name: str
+) -> None:
+    r, J, covariance, at = stacked(dense)
+    prior, columns = replace(PRIOR, strengths=PRIOR.groups), list(PRIOR.groups[name])
+    values = []
+    for width in RULES.slab_sigma * 0.5 ** np.arange(RULES.slab_halvings + 1):
+        variance = 1.0 / PRIOR.precision((name,))
+        variance[columns] = width**2
+        total = covariance + (J * np.concatenate([variance, np.tile(PRIOR.nuisance_sigma**2, 2)])) @ J.T
+        error = r + J @ at
+        values.append(-0.5 * (error @ np.linalg.solve(total, error) + np.linalg.slogdet(total)[1]))
+    expected = np.logaddexp.reduce(values) - np.log(len(values)) + RULES.prior_log_odds
+    white = evidence.marginal_grams(dense.lin, PROCESS, PRIOR)
+    gram, log_det, theta_scaled = white.gram, white.log_det, dense.lin.theta_scaled
+    value, other = evidence.log_evidences(gram, log_det, theta_scaled, prior, [(name,), ()], FREE)
+    assert value == pytest.approx(expected, abs=1e-7)
+    assert [other] == evidence.log_evidences(gram, log_det, theta_scaled, PRIOR, [()], FREE)
 
 
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:

@@ -25,6 +25,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "odds": 20.0,
     "prior_odds_against": 40.0,
     "slab_sigma": 2.0,
+    "slab_halvings": 3,
     "disturbance_correlation": 0.75,
     "max_effects": 6,
     "worth_fitting_nats": 12.0,
