@@ -21,7 +21,7 @@ from trimtab.host.trace.flight_fit.fit import (
     prior_of,
     search_temper,
 )
-from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
+from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
@@ -180,9 +180,9 @@ def _from_flights(
     loop = closed_loop(flights, segment_model.vehicle, space, null_fit.theta_scaled, jobs=segment_model.jobs)
     autoregression_order = order_of(loop)
     fitter = FlightFitter(loop=loop, order=autoregression_order)
-    result = search(
-        fitter, fit_closed_loop(loop, (), null_fit.theta_scaled, autoregression_order), on_progress
-    )
+    neutral = theta_without_effects(space, null_fit)
+    start = best_predicting(loop, (null_fit.theta_scaled, neutral))
+    result = search(fitter, fit_closed_loop(loop, (), start, autoregression_order), on_progress)
     on_progress("comparing repeat flights")
     result = without_payload_artefacts(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
@@ -197,7 +197,7 @@ def _from_flights(
     )
     after, before = (
         repeatability_of(loop, theta_scaled, autoregression_order, repeat_flights)
-        for theta_scaled in (judged.theta_scaled, theta_without_effects(space, null_fit))
+        for theta_scaled in (judged.theta_scaled, neutral)
     )
     del loop, fitter  # they hold much memory
     covariance = inflated_flight_covariance(space, fit, references)
@@ -214,6 +214,22 @@ def _from_flights(
         detectability=detectability(space, fit.grams.sum(0), prior_of(space).precision(selected.effects)),
         repeatability=(after, before),
     )
+
+
+def best_predicting(
+    loop: ClosedLoop, points: Sequence[Annotated[np.ndarray, "parameters"]]
+) -> Annotated[np.ndarray, "parameters"]:
+    """Return the point, scaled, from which whole flights are predicted with the least position error.
+
+    The segments' estimate without effects is a good start if little is missing. A strong effect can bias it
+    so much that a search from there stays among wrong sets.
+    """
+
+    def squares(index: int, residual: np.ndarray) -> np.ndarray:
+        return np.square(residual[:, loop.known[index], :3]).sum((1, 2))
+
+    errors = np.sum(loop.with_residuals(np.column_stack(points), squares), axis=0)
+    return points[int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))]
 
 
 def present_effects(

@@ -22,6 +22,7 @@ from trimtab.host.trace.flight_fit import whitening
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, WINDOWS
 from trimtab.host.trace.parameters import ParameterSpace, space
+from trimtab.host.trace.selection import best_predicting
 
 DATA = Path(__file__).parents[3] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")
@@ -123,6 +124,16 @@ def test_residuals_and_slopes_do_not_depend_on_the_number_of_threads(loop: Close
     for flight in range(2):
         np.testing.assert_array_equal(base[0][flight], base[1][flight])
         np.testing.assert_array_equal(slopes[0][flight], slopes[1][flight])
+
+
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
+def test_search_starts_from_the_point_that_predicts_the_flights_best(loop: ClosedLoop) -> None:
+    neutral = np.zeros(len(loop.space.columns))
+    near, far, unstable = neutral + 0.1, neutral - 0.4, neutral + np.nan
+    made = simulated(loop, near, 3)
+    for points in ((near, far), (far, near), (neutral, near, far), (unstable, near)):
+        np.testing.assert_array_equal(best_predicting(made, points), near)
+    np.testing.assert_array_equal(best_predicting(simulated(loop, neutral, 3), (far, neutral)), neutral)
 
 
 def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: ClosedLoop) -> None:
