@@ -50,8 +50,8 @@ _FORMS_HEAD = """
 ## Parameters of the form
 
 No equation is exact for a real vehicle. These parameters say how the vehicle may deviate from it, and by how
-much. While the effect is selected, they vary around neutral with the given standard deviation. Otherwise they
-are neutral. They change nothing without the effect. `trace` does not list them among the values of an effect,
+much. They vary around neutral with the given standard deviation, also while the effect is within tolerance.
+They change nothing without the effect. `trace` does not list them among the values of an effect,
 but the model file holds those of named effects. [How tracing works](../concepts/tracing.md#4-search) says why
 they are there.
 

@@ -47,7 +47,7 @@ class Parameter:
         one. None if the value cannot be measured.
     form
         True for a parameter of the effect's form: how a real vehicle may deviate from the equation. It
-        changes nothing unless the effect is present. Its tolerance is then its prior standard deviation, so a
+        changes nothing while the effect is neutral. Its tolerance is then its prior standard deviation, so a
         smaller effect that explains only such a deviation is not named (Kennedy and O'Hagan 2001, "Bayesian
         calibration of computer models").
 

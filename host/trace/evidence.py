@@ -20,7 +20,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -37,7 +36,7 @@ TORQUE_LIMITS = (-14.0, 12.0)
 
 
 _FIXED = 1e-3
-"""Standard deviation, scaled, of the form of an effect that is not selected: it cannot act."""
+"""Standard deviation, scaled, of a form that cannot act."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,9 +45,9 @@ class Prior:
 
     groups: column indices of each candidate or adjustment. strengths: those of them that give the size of a
     candidate. forms: those of the form of its effect. spike: standard deviation of each parameter, scaled, if
-    its effect is not selected; of a form, if it is selected. nuisance_sigma: those of a flight's nuisances,
-    in physical units. added: for each column, the one to which it adds, so that the bounds are those of the
-    sum; -1 for none. None if no column adds to another.
+    its effect is not selected, or if it belongs to a form. nuisance_sigma: those of a flight's nuisances, in
+    physical units. added: for each column, the one to which it adds, so that the bounds are those of the sum;
+    -1 for none. None if no column adds to another.
     """
 
     groups: dict[str, tuple[int, ...]]
@@ -58,16 +57,18 @@ class Prior:
     strengths: dict[str, tuple[int, ...]] = field(default_factory=dict)
     added: Annotated[np.ndarray, "parameters"] | None = None
 
-    @cached_property
-    def _without_forms(self) -> Annotated[np.ndarray, "parameters"]:
-        """Standard deviations, scaled, if no effect is selected: every form is fixed."""
-        sigma = self.spike.copy()
-        sigma[[column for columns in self.forms.values() for column in columns]] = _FIXED
-        return sigma
+    def precision(
+        self, selected: Sequence[str], linearised_with: Sequence[str] = ()
+    ) -> Annotated[np.ndarray, "parameters"]:
+        """Return the prior precision, scaled, if the effects `selected` are in the model.
 
-    def precision(self, selected: Sequence[str]) -> Annotated[np.ndarray, "parameters"]:
-        """Return the prior precision, scaled, if the effects `selected` are in the model."""
-        sigma = self._without_forms.copy()
+        The form of an effect deviates whether the effect is selected or within tolerance. But in a
+        linearisation with effects that are not selected (`linearised_with`), the slopes of their forms are
+        those of the full effect, so these forms are fixed.
+        """
+        sigma = self.spike.copy()
+        for name in linearised_with:
+            sigma[list(self.forms.get(name, ()))] = _FIXED
         for name in selected:
             for column in self.forms.get(name, ()):
                 sigma[column] = self.spike[column]
@@ -129,14 +130,16 @@ def log_evidences(
     prior: Prior,
     sets: Sequence[Sequence[str]],
     limits: tuple[Annotated[np.ndarray, "parameters"], Annotated[np.ndarray, "parameters"]],
+    linearised_with: Sequence[str] = (),
 ) -> list[float]:
     """Return log evidence plus log prior of sets of effects in a linearisation, in nats, up to a constant.
 
     gram: of the whitened [r | S], linearised at theta_scaled. log_det: log determinant of the covariance by
-    which they were whitened. The quadratic is evaluated at the best point within `limits`, the lower and
-    upper bounds: an effect cannot gain evidence from a value outside its physical bounds.
+    which they were whitened. linearised_with: the effects in the model there. The quadratic is evaluated at
+    the best point within `limits`, the lower and upper bounds: an effect cannot gain evidence from a value
+    outside its physical bounds.
     """
-    precision = np.stack([prior.precision(names) for names in sets])
+    precision = np.stack([prior.precision(names, linearised_with) for names in sets])
     rhs = gram[0, 1:] - precision * theta_scaled
     normal = gram[1:, 1:] + precision[:, :, None] * np.eye(len(theta_scaled))
     chol, covariance = np.linalg.cholesky(normal), np.linalg.inv(normal)

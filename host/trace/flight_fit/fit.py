@@ -272,7 +272,7 @@ class FlightFitter:
         whitening has absorbed a part of what the additional effects explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
-        return [lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits)]
+        return [lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits, fit.effects)]
 
     def underrated_extensions(self, fit: FlightFit) -> list[Names]:
         """Return sets with one more effect that gains much from one of the start values in its effect file.

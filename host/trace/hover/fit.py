@@ -40,9 +40,11 @@ class CoupledPrior(Prior):
 
     limits: Mapping[str, Mapping[int, float]] = field(default_factory=dict)
 
-    def precision(self, selected: Sequence[str]) -> Annotated[np.ndarray, "parameters"]:
+    def precision(
+        self, selected: Sequence[str], linearised_with: Sequence[str] = ()
+    ) -> Annotated[np.ndarray, "parameters"]:
         """Return the prior precision, scaled, if the effects `selected` are in the model."""
-        precision = super().precision(selected)
+        precision = super().precision(selected, linearised_with)
         for name in set(selected) & set(self.limits):
             for column, sigma in self.limits[name].items():
                 precision[column] = max(precision[column], 1.0 / max(sigma, self.spike[column]) ** 2)

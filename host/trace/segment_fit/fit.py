@@ -102,7 +102,7 @@ class SegmentFitter:
         theta_scaled, limits = fit.lin.theta_scaled, self.space.bounds
         return [
             lambda sets, white=white: evidence.log_evidences(
-                white.gram, white.log_det, theta_scaled, prior, sets, limits
+                white.gram, white.log_det, theta_scaled, prior, sets, limits, fit.effects
             )
             for white in whites
         ]

@@ -106,17 +106,17 @@ def test_space_keeps_the_forms_of_an_effect_apart_from_its_values() -> None:
     assert values == set(range(len(parameter_space.columns))) - forms
 
 
-def test_prior_fixes_the_forms_of_effects_that_are_not_selected() -> None:
+def test_prior_fixes_only_forms_whose_effect_is_in_the_linearisation_but_not_selected() -> None:
     parameter_space = space(VEHICLE, EFFECTS)
     forms = {name: list(columns) for name, columns in parameter_space.forms.items()}
     selected = ["linear-drag", "rotor-loss.loss_2", "motor-lag"]
-    sigma = 1.0 / np.sqrt(parameter_space.prior.precision(selected))
-    released = set(forms["linear-drag"]) | set(forms["rotor-loss.loss_2"])
+    linearised_with = ["linear-drag", "rotor-loss.loss_1", "quadratic-drag"]
+    sigma = 1.0 / np.sqrt(parameter_space.prior.precision(selected, linearised_with))
     for i, column in enumerate(parameter_space.columns):
-        if i in released:
-            assert sigma[i] == pytest.approx(column.tolerance / column.scale)
-        elif column.form:
+        if i in forms["quadratic-drag"]:
             assert sigma[i] < 0.01
+        elif column.form:
+            assert sigma[i] == pytest.approx(column.tolerance / column.scale)
     strengths = [i for name in selected for i in parameter_space.groups[name]]
     assert (sigma[strengths] >= RULES.slab_sigma).all()
     assert sigma[parameter_space.groups["rotor-loss.loss_1"]] < RULES.slab_sigma
