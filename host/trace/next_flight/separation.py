@@ -84,15 +84,10 @@ def separation(
     theta_scaled: Annotated[np.ndarray, "parameters"],
     effect: str,
     alias: str,
-    *,
-    prior: Prior | None = None,
 ) -> float:
     """Return by how many sigma `effect` stands out if `alias` may take any size.
 
-    lambda^2 = theta' S' (I - Q) S theta. S holds the whitened slopes of all parameters. Q projects on the
-    alias and the other present effects, free under the slab of the prior, and on all other parameters, under
-    the spike. The parameters of `effect` are among the latter: where the effect is absent, they still deviate
-    within tolerance, so an effect of n tolerances never stands out by more than n sigma.
+    lambda^2 = theta' S' (I - Q) S theta, with the information S' (I - Q) S of `information_of`.
 
     Parameters
     ----------
@@ -106,19 +101,33 @@ def separation(
         Scaled parameters that give the size of `effect`.
     effect, alias
         Candidates to separate.
-    prior
-        Prior of the parameters; that of segment fits if None.
+    """
+    columns = list(space.groups[effect])
+    information = information_of(space, gram, present, effect, alias, space.prior)
+    return float(np.sqrt(max(theta_scaled[columns] @ information @ theta_scaled[columns], 0.0)))
+
+
+def information_of(
+    space: ParameterSpace,
+    gram: Annotated[np.ndarray, "parameters parameters"],
+    present: Iterable[str],
+    effect: str,
+    alias: str,
+    prior: Prior,
+) -> Annotated[np.ndarray, "columns columns"]:
+    """Return the information S' (I - Q) S about the parameters of `effect` if `alias` may take any size.
+
+    S holds the whitened slopes of all parameters. Q projects on the alias and the other present effects, free
+    under the slab of the prior, and on all other parameters, under the spike. gram: S' S. present: candidates
+    that are present.
     """
     columns = list(space.groups[effect])
     others = [i for i in range(len(space.columns)) if i not in columns]
     free = [name for name in present if name != effect]
-    precision = (prior or space.prior).precision([*free, effect, alias])
+    precision = prior.precision([*free, effect, alias])
     inner = gram[np.ix_(others, others)] + np.diag(precision[others])
     cross = gram[np.ix_(others, columns)]
-    information = gram[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(inner, cross)
-    within = np.diag((prior or space.prior).precision(())[columns])
-    information = within @ np.linalg.solve(information + within, information)
-    return float(np.sqrt(max(theta_scaled[columns] @ information @ theta_scaled[columns], 0.0)))
+    return gram[np.ix_(columns, columns)] - cross.T @ np.linalg.solve(inner, cross)
 
 
 def propose(

@@ -25,7 +25,7 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import fit_with_whitening, prior_of
 from trimtab.host.trace.flight_fit.loop import closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import turbulence
-from trimtab.host.trace.next_flight.separation import separation
+from trimtab.host.trace.next_flight.separation import information_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import predict_flights, rmse
 from trimtab.host.vehicle import Vehicle
@@ -138,10 +138,25 @@ def nearest(known: Effective) -> dict[str, dict[str, float]]:
     out = {}
     for name, candidate in known.candidates.items():
         others = [o for o in space.candidates if o not in names and not any({name, o} <= s for s in same)]
+        columns = list(space.groups[candidate])
+        build = np.diag(prior.precision(())[columns])
         out[name] = {
-            o: separation(space, known.gram, names, known.z, candidate, o, prior=prior) for o in others
+            other: _stands_out(
+                information_of(space, known.gram, names, candidate, other, prior), build, known.z[columns]
+            )
+            for other in others
         }
     return out
+
+
+def _stands_out(information: np.ndarray, build: np.ndarray, size: np.ndarray) -> float:
+    """Return by how many sigma an effect stands out of what the build deviates in the same parameters.
+
+    A vehicle without the effect still deviates in them within tolerance, so an effect of n tolerances never
+    stands out by more than n sigma. information: about its parameters. build: precision of the deviations.
+    """
+    within = build @ np.linalg.solve(information + build, information)
+    return float(np.sqrt(max(size @ within @ size, 0.0)))
 
 
 def is_identifiable(separations: Mapping[str, Mapping[str, float]]) -> bool:

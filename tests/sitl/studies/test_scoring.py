@@ -13,6 +13,7 @@ from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.trace.data.signals import signals
 from trimtab.host.trace.decision.findings import Code
+from trimtab.host.trace.flight_fit.fit import prior_of
 from trimtab.host.trace.parameters import space
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
@@ -496,6 +497,17 @@ def test_separation_is_counted_from_every_other_candidate(known: Effective) -> N
     assert set(separations) == {"linear-drag", "motor-lag"}
     assert set(separations["motor-lag"]) == set(SPACE.candidates) - {"linear-drag", "motor-lag"}
     assert separations["linear-drag"]["wind"] > separations["linear-drag"]["quadratic-drag"] > 4.2
+
+
+def test_effect_of_few_tolerances_is_never_separated_by_more_sigma(known: Effective) -> None:
+    """Also with flights without noise: the build deviates in the same parameters."""
+    columns = list(SPACE.groups["motor-lag"])
+    spike = prior_of(SPACE).spike[columns]
+    z = known.z.copy()
+    z[columns] = 2.0 * spike
+    endless = replace(known, z=z, gram=1e12 * known.gram)
+    separated = nearest(endless)["motor-lag"].values()
+    assert max(separated) == pytest.approx(2.0 * np.sqrt(len(columns)), rel=1e-3)
 
 
 def test_what_the_library_lacks_has_no_effective_parameters(flown: Flown) -> None:
