@@ -19,11 +19,12 @@ from trimtab.host.trace.decision.decide import Decision
 from trimtab.host.trace.decision.exact_aliases import exact_aliases
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
+from trimtab.host.trace.hover.fit import HoverFit
 from trimtab.host.trace.joint import JointSpace
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import Errors, predict_flights, predict_segments, rmse
 from trimtab.host.trace.result import Named, Value
-from trimtab.host.trace.segment_fit.fit import theta_without_effects
+from trimtab.host.trace.segment_fit.fit import SegmentFit, theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis
 
@@ -41,15 +42,9 @@ def named_effects(
     aliases: probability of each alternative by the selected effect that it would replace. probabilities: of
     each selected effect.
     """
-    values = space.values(diagnosis.selected.theta_scaled)
-    sd = np.sqrt(np.diag(diagnosis.selected.covariance)) * space.scale
     named = []
     for name in diagnosis.selected.effects:
         effect = space.effect(name)
-        parameters = {
-            space.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=space.columns[i].unit)
-            for i in space.groups[name]
-        }
         others: dict[str, float] = {}
         for other, probability in aliases[name].items():
             other_name = space.effect(other).name
@@ -63,7 +58,7 @@ def named_effects(
             Named(
                 name=effect.name,
                 title=effect.title,
-                parameters=parameters,
+                parameters=values_of(space, diagnosis.selected, name),
                 probability=probabilities[name],
                 aliases=others,
                 exact_aliases=exact,
@@ -90,6 +85,26 @@ def after_change(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[Seg
             selected=replace(selected, theta_scaled=theta_scaled, covariance=covariance),
             null_fit=replace(null_fit, theta_scaled=without),
         ),
+    )
+
+
+def values_of(space: ParameterSpace, fit: SegmentFit | HoverFit, candidate: str) -> dict[str, Value]:
+    """Return values and standard deviations of a candidate by key, without those of its form."""
+    values = space.values(fit.theta_scaled)
+    sd = np.sqrt(np.diag(fit.covariance)) * space.scale
+    return {
+        space.columns[i].key: Value(value=float(values[i]), sd=float(sd[i]), unit=space.columns[i].unit)
+        for i in space.groups[candidate]
+    }
+
+
+def covariance_of(space: ParameterSpace, fit: SegmentFit | HoverFit, columns: Sequence[int]) -> Covariance:
+    """Return the covariance of these columns, in the units of their parameters."""
+    scaled = fit.covariance * np.outer(space.scale, space.scale)
+    scaled = scaled[np.ix_(columns, columns)]
+    return Covariance(
+        names=tuple(f"{space.columns[i].owner}.{space.columns[i].key}" for i in columns),
+        matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
     )
 
 
@@ -140,12 +155,7 @@ def model_of(
     if added:
         held = {**effects, **adjustments}
         kept = [i for i, c in enumerate(space.columns) if c.key in held[c.owner]]
-        scaled = diagnosis.selected.covariance * np.outer(space.scale, space.scale)
-        scaled = scaled[np.ix_(kept, kept)]
-        covariance = Covariance(
-            names=tuple(f"{space.columns[i].owner}.{space.columns[i].key}" for i in kept),
-            matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (scaled + scaled.T)),
-        )
+        covariance = covariance_of(space, diagnosis.selected, kept)
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
     tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
     thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)

@@ -1,4 +1,4 @@
-"""Minima of quadratics within bounds, for parameters that add to each other."""
+"""Minima of quadratics within bounds, also for parameters that add to each other."""
 
 from __future__ import annotations
 
@@ -17,6 +17,25 @@ def with_added(
 ) -> Annotated[np.ndarray, "... parameters"]:
     """Return each entry plus `sign` times the one with the index `added`; -1 for none."""
     return theta_scaled + sign * np.where(added >= 0, theta_scaled[..., added], 0.0)
+
+
+def minimise_in_box(
+    normal: Annotated[np.ndarray, "... parameters parameters"],
+    minimum: Annotated[np.ndarray, "... parameters"],
+    lower: Annotated[np.ndarray, "parameters"],
+    upper: Annotated[np.ndarray, "parameters"],
+) -> Annotated[np.ndarray, "... parameters"]:
+    """Return approximate minimisers of quadratics between `lower` and `upper`.
+
+    normal: Hessian of each quadratic. minimum: its unconstrained minimum. Components that cross a bound are
+    fixed there, and the others are solved again until none crosses.
+    """
+    fixed, at = np.zeros(minimum.shape, dtype=bool), minimum
+    bound = np.clip(minimum, lower, upper)
+    while ((at < lower) | (at > upper)).any():
+        fixed |= (at < lower) | (at > upper)
+        at = _minimum_with_fixed(normal, minimum, fixed, bound)
+    return at
 
 
 def minimise_sums(
@@ -50,7 +69,7 @@ def exact_minimum(
     normal, minimum: Hessian and unconstrained minimum of each quadratic. A component that crosses a bound is
     fixed there, and one whose gradient points off its bound is freed: all at once in the first _BLOCK_PIVOTS
     changes, then the last such component alone, which cannot cycle (Judice and Pires 1994). If the pivoting
-    does not end, its last point is clipped. `evidence.minimise_in_box` frees none, which is inaccurate where
+    does not end, its last point is clipped. `minimise_in_box` frees none, which is inaccurate where
     many parameters that resemble each other reach bounds, as those of two sets of flights do.
     """
     side, at = np.zeros(minimum.shape, dtype=int), minimum
@@ -64,9 +83,18 @@ def exact_minimum(
             last = np.arange(1, wrong.shape[-1] + 1) * wrong
             wrong &= last == last.max(-1, keepdims=True)
         side = np.where(wrong, target, side)
-        fixed, bound = side != 0, np.where(side > 0, upper, lower)
-        shift = normal @ np.where(fixed, bound - minimum, 0.0)[..., None]
-        among_free = np.where(fixed[..., None] | fixed[..., None, :], np.eye(len(lower)), normal)
-        step = np.linalg.solve(among_free, np.where(fixed[..., None], 0.0, shift))[..., 0]
-        at = np.where(fixed, bound, minimum - step)
+        at = _minimum_with_fixed(normal, minimum, side != 0, np.where(side > 0, upper, lower))
     return np.clip(at, lower, upper)
+
+
+def _minimum_with_fixed(
+    normal: Annotated[np.ndarray, "... parameters parameters"],
+    minimum: Annotated[np.ndarray, "... parameters"],
+    fixed: Annotated[np.ndarray, "... parameters"],
+    bound: Annotated[np.ndarray, "... parameters"],
+) -> Annotated[np.ndarray, "... parameters"]:
+    """Return the minimisers of quadratics in the other components if `fixed` ones are at `bound`."""
+    shift = normal @ np.where(fixed, bound - minimum, 0.0)[..., None]
+    among_free = np.where(fixed[..., None] | fixed[..., None, :], np.eye(minimum.shape[-1]), normal)
+    step = np.linalg.solve(among_free, np.where(fixed[..., None], 0.0, shift))[..., 0]
+    return np.where(fixed, bound, minimum - step)

@@ -25,7 +25,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import minimize
 
-from trimtab.host.trace.bounds import minimise_sums
+from trimtab.host.trace.bounds import minimise_in_box, minimise_sums
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, innovation_root
 
@@ -197,28 +197,6 @@ def _minimise_within(
     if added is None:
         return minimise_in_box(normal, minimum, limits[0] - theta_scaled, limits[1] - theta_scaled)
     return minimise_sums(normal, minimum, theta_scaled, limits, added)
-
-
-def minimise_in_box(
-    normal: Annotated[np.ndarray, "... parameters parameters"],
-    minimum: Annotated[np.ndarray, "... parameters"],
-    lower: Annotated[np.ndarray, "parameters"],
-    upper: Annotated[np.ndarray, "parameters"],
-) -> Annotated[np.ndarray, "... parameters"]:
-    """Return approximate minimisers of quadratics between `lower` and `upper`.
-
-    normal: Hessian of each quadratic. minimum: its unconstrained minimum. Components that cross a bound are
-    fixed there, and the others are solved again until none crosses.
-    """
-    fixed, at = np.zeros(minimum.shape, dtype=bool), minimum
-    bound = np.clip(minimum, lower, upper)
-    while ((at < lower) | (at > upper)).any():
-        fixed |= (at < lower) | (at > upper)
-        shift = normal @ np.where(fixed, bound - minimum, 0.0)[..., None]
-        among_free = np.where(fixed[..., None] | fixed[..., None, :], np.eye(len(lower)), normal)
-        step = np.linalg.solve(among_free, np.where(fixed[..., None], 0.0, shift))[..., 0]
-        at = np.where(fixed, bound, minimum - step)
-    return at
 
 
 def posterior(

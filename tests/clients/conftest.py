@@ -31,6 +31,7 @@ MAV_AUTOPILOT_INVALID = 8
 ARMED = 128  # MAV_MODE_FLAG_SAFETY_ARMED
 ACCEPTED = 0
 ARM_DISARM, MISSION_START, SET_MESSAGE_INTERVAL = 400, 300, 511
+TAKEOFF, LAND = 22, 21
 LOCAL_POSITION_NED = 32
 
 ROUTE = """name = "hop"
@@ -278,6 +279,14 @@ class Station:
         self.arm()
         assert self.command(SET_MESSAGE_INTERVAL, LOCAL_POSITION_NED, 50_000) == ACCEPTED
         assert self.command(MISSION_START) == ACCEPTED
+        self.until(lambda: not self.armed)
+
+    def take_off_and_land(self) -> None:
+        """Takes off to 1 m, lands, and watches until the vehicle has disarmed. It has to be armed."""
+        assert self.command(SET_MESSAGE_INTERVAL, LOCAL_POSITION_NED, 50_000) == ACCEPTED
+        assert self.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == ACCEPTED
+        self.until(lambda: bool(self.track) and self.track[-1][2] < -0.9)
+        assert self.command(LAND) == ACCEPTED
         self.until(lambda: not self.armed)
 
     def downlink_loss(self) -> float:

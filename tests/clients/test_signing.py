@@ -12,8 +12,7 @@ import pytest
 
 pytestmark = [pytest.mark.full, pytest.mark.realtime]
 
-LAND, TAKEOFF, SET_INTERVAL, LOCAL_POSITION = 21, 22, 511, 32
-ACCEPTED, REAL32 = 0, 9
+LAND, REAL32 = 21, 9
 NEEDS_KEY = "signed messages only: give this station the key"
 OTHER_KEY = "wrong signature: this station has another key"
 INSTALLED, REMOVED = "signing key installed", "signing key removed"
@@ -35,11 +34,7 @@ def test_mavutil_with_the_key_takes_off_and_lands(
     sign(own, passphrase(key_file))
     own.answer("HEARTBEAT")
     own.arm()
-    assert own.command(SET_INTERVAL, LOCAL_POSITION, 50_000) == ACCEPTED
-    assert own.command(TAKEOFF, 0, 0, 0, 0, 0, 0, 1.0) == ACCEPTED
-    own.until(lambda: bool(own.track) and own.track[-1][2] < -0.9)
-    assert own.command(LAND) == ACCEPTED
-    own.until(lambda: not own.armed)
+    own.take_off_and_land()
     assert NEEDS_KEY not in own.texts
 
 

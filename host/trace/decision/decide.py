@@ -306,19 +306,24 @@ def _open_alternatives(
     inputs: DecisionInputs, verdict: Verdict, aliases: Aliases, possible: Mapping[str, float], rules: Rules
 ) -> list[Finding]:
     """Return findings on what the data does not exclude: aliases, further effects, an unnamed effect."""
-    bound = rules.alias_probability
-    findings = [
-        Finding(code=Code.ALIAS, value=p, bound=bound, subject=(name, other))
-        for name, others in aliases.items()
-        for other, p in others.items()
-    ]
-    findings += [
-        Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()
-    ]
+    findings = not_excluded(aliases, possible, rules)
     missing = 1.0 - inputs.null_probability
     if verdict is Verdict.UNDECIDED and not inputs.selected and missing > rules.majority:
         findings.append(Finding(code=Code.SOMETHING_MISSING, value=missing, bound=rules.majority))
     return findings
+
+
+def not_excluded(aliases: Aliases, possible: Mapping[str, float], rules: Rules = RULES) -> list[Finding]:
+    """Return a finding for each alias and for each further effect that the data does not exclude."""
+    bound = rules.alias_probability
+    return [
+        *(
+            Finding(code=Code.ALIAS, value=p, bound=bound, subject=(name, other))
+            for name, others in aliases.items()
+            for other, p in others.items()
+        ),
+        *(Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()),
+    ]
 
 
 def hidden(

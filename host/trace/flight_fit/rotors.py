@@ -23,7 +23,7 @@ from trimtab.host.models.airframe import Part
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.signals import FlightData, averaged, nominal_thrust
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S, LEAD_S
+from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S, LEAD_S, bins_of_times
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
 
@@ -88,22 +88,20 @@ class RotorSpeeds:
         self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
     ) -> Annotated[np.ndarray, "lanes"]:
         """Return the whitened squares of all flights at each lane, of full roll-outs, over RULES.temper."""
-        coefficients, sigma = self._whitening or self._fitted_whitening(theta_scaled[:, 0])
+        coefficients, sigma = self._whitening_from(theta_scaled[:, 0])
         total = np.zeros(theta_scaled.shape[1])
         for flight in self._flights:
             if flight is None:
                 continue
             for lane, (rolled, rate) in enumerate(zip(*self._rolled(flight, theta_scaled), strict=True)):
                 columns = np.where(flight.known[:, None], flight.measured - rolled, 0.0)[None]
-                left = _without_nuisances(columns, *self._seen(flight, rolled, rate))
+                left = _without_nuisances(columns, *self._where_known(flight, rolled, rate))
                 total[lane] += np.square(_whitened(left, coefficients, sigma)).sum()
         return total / RULES.temper
 
     def _linearise(self, theta_scaled: np.ndarray) -> None:
-        """Compute the Grams anew, and the whitening first."""
-        if self._whitening is None:
-            self._whitening = self._fitted_whitening(theta_scaled)
-        coefficients, sigma = self._whitening
+        """Compute the Grams anew."""
+        coefficients, sigma = self._whitening_from(theta_scaled)
         count = 1 + len(theta_scaled)
         self._grams = np.zeros((len(self._flights), count, count))
         rows = np.concatenate([[0], 1 + self._columns])
@@ -111,6 +109,12 @@ class RotorSpeeds:
             white = _whitened(columns, coefficients, sigma)
             self._grams[index][np.ix_(rows, rows)] = white @ white.T / RULES.temper
         self._at = theta_scaled.copy()
+
+    def _whitening_from(self, theta_scaled: np.ndarray) -> tuple[np.ndarray, float]:
+        """Return autoregression and innovation, fitted once, from the first point that asks for them."""
+        if self._whitening is None:
+            self._whitening = self._fitted_whitening(theta_scaled)
+        return self._whitening
 
     def _fitted_whitening(self, theta_scaled: np.ndarray) -> tuple[np.ndarray, float]:
         """Return autoregression and innovation of the residual of the best fit of all effects on rotors."""
@@ -142,11 +146,13 @@ class RotorSpeeds:
                 [(flight.measured - rolled[0])[None], (rolled[1:] - rolled[0]) / _THETA_STEP]
             )
             columns[:, ~flight.known] = 0.0
-            result.append((index, _without_nuisances(columns, *self._seen(flight, rolled[0], rate[0]))))
+            result.append(
+                (index, _without_nuisances(columns, *self._where_known(flight, rolled[0], rate[0])))
+            )
         return result
 
     @staticmethod
-    def _seen(flight: _Speeds, *predicted: np.ndarray) -> list[np.ndarray]:
+    def _where_known(flight: _Speeds, *predicted: np.ndarray) -> list[np.ndarray]:
         """Return predictions (bins, 4) with 0 where nothing was measured."""
         return [np.where(flight.known[:, None], each, 0.0) for each in predicted]
 
@@ -208,7 +214,7 @@ def _speeds(data: FlightData) -> _Speeds | None:
     command, _ = averaged(steps, s.input_s, nominal_thrust(data.flight.vehicle, s.command, in_newton=False))
     t_s = rotors.t_us * 1e-6
     inside = (t_s >= start) & (t_s < start + bins * FLIGHT_BIN_S) & np.isfinite(rotors.speed).all(1)
-    index = np.minimum(((t_s[inside] - start) / FLIGHT_BIN_S).astype(int), bins - 1)
+    index = bins_of_times(t_s[inside] - start, bins)
     count = np.bincount(index, minlength=bins)
     sums = [np.bincount(index, column, minlength=bins) for column in rotors.speed[inside].T ** 2]
     return _Speeds(

@@ -11,11 +11,13 @@ from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import THRUST_CURVE
 from trimtab.host.log import Flight
 from trimtab.host.log.provenance import count_simulated
-from trimtab.host.models.model import Covariance, Model
+from trimtab.host.models.model import Model
+from trimtab.host.trace.assembly import covariance_of, values_of
 from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.data.logs import TraceData
+from trimtab.host.trace.data.signals import without_inputs
 from trimtab.host.trace.decision.alternatives import possible_beside
-from trimtab.host.trace.decision.decide import hidden, is_null_open
+from trimtab.host.trace.decision.decide import hidden, is_null_open, not_excluded
 from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.hover.balance import balances
@@ -23,7 +25,8 @@ from trimtab.host.trace.hover.fit import HoverDiagnosis, HoverFit, HoverFitter
 from trimtab.host.trace.hover.mean import hover_mean
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.residual.unexplained import NOTHING_UNEXPLAINED
-from trimtab.host.trace.result import Baseline, Named, Trace, Value
+from trimtab.host.trace.result import Baseline, Named, Trace
+from trimtab.host.trace.search import null_probability_of
 from trimtab.host.trace.selection import detectability
 
 
@@ -31,8 +34,7 @@ def compares_hovers(flights: Sequence[Flight]) -> bool:
     """Return whether the logs are compared by their hovers: motor commands or thrusts, but no body rate."""
     return all(
         flight.control is None
-        and flight.recorded_inputs is not None
-        and flight.recorded_inputs.level != "reference"
+        and not without_inputs(flight)
         and (flight.recorded_imu is None or flight.recorded_imu.gyro is None)
         for flight in flights
     )
@@ -77,7 +79,7 @@ def compare(
         name: sum(w for names, w in weights.items() if name in names) / sum(weights.values())
         for name in parameters.candidates
     }
-    aliases, null_open = _alternatives(fits, selected, inclusion)
+    aliases, null_open = _alternatives(fits, selected, inclusion, null_probability_of(weights))
     named = _named(parameters, selected, inclusion, aliases)
     possible = possible_beside(selected.effects, aliases, inclusion, RULES)
     verdict = _verdict(named, null_open)
@@ -86,7 +88,7 @@ def compare(
         verdict=verdict,
         findings=(
             Finding(code=Code.ONLY_HOVER),
-            *_open(aliases, possible),
+            *not_excluded(aliases, possible),
             *hidden(sigmas, selected.effects, parameters),
         ),
         effects=named,
@@ -118,7 +120,7 @@ def compare(
 
 
 def _alternatives(
-    fits: Sequence[HoverFit], selected: HoverFit, inclusion: Mapping[str, float]
+    fits: Sequence[HoverFit], selected: HoverFit, inclusion: Mapping[str, float], null_probability: float
 ) -> tuple[dict[str, dict[str, float]], bool]:
     """Return the aliases of each effect of the selected cause, and whether nothing may have changed.
 
@@ -136,9 +138,7 @@ def _alternatives(
         name: {other: p for other, p in others.items() if other not in selected.effects}
         for name in selected.effects
     }
-    total = np.logaddexp.reduce([fit.log_evidence for fit in fits])
-    null_open = is_null_open(float(np.exp(null.log_evidence - total))) or null.widest <= tie
-    return aliases, null_open
+    return aliases, is_null_open(null_probability) or null.widest <= tie
 
 
 def _verdict(named: Sequence[Named], null_open: bool) -> Verdict:
@@ -148,19 +148,6 @@ def _verdict(named: Sequence[Named], null_open: bool) -> Verdict:
     return Verdict.UNDECIDED if null_open or any(each.aliases for each in named) else Verdict.TRACED
 
 
-def _open(aliases: Mapping[str, Mapping[str, float]], possible: Mapping[str, float]) -> list[Finding]:
-    """Return findings on what the data does not exclude."""
-    bound = RULES.alias_probability
-    return [
-        *(
-            Finding(code=Code.ALIAS, value=p, bound=bound, subject=(name, other))
-            for name, others in aliases.items()
-            for other, p in others.items()
-        ),
-        *(Finding(code=Code.POSSIBLE, value=p, bound=bound, subject=(name,)) for name, p in possible.items()),
-    ]
-
-
 def _named(
     space: ParameterSpace,
     selected: HoverFit,
@@ -168,8 +155,6 @@ def _named(
     aliases: Mapping[str, Mapping[str, float]],
 ) -> tuple[Named, ...]:
     """Return the selected effects with values, standard deviations, probabilities and aliases."""
-    values = space.values(selected.theta_scaled)
-    sd = np.sqrt(np.diag(selected.covariance)) * space.scale
     named = []
     for name in selected.effects:
         effect, others = space.effect(name), {}
@@ -182,12 +167,7 @@ def _named(
             Named(
                 name=effect.name,
                 title=effect.title,
-                parameters={
-                    space.columns[i].key: Value(
-                        value=float(values[i]), sd=float(sd[i]), unit=space.columns[i].unit
-                    )
-                    for i in space.groups[name]
-                },
+                parameters=values_of(space, selected, name),
                 probability=min(inclusion[name], 1.0 - open_share),
                 aliases=others,
                 exact_aliases={},
@@ -205,17 +185,11 @@ def _model(
 ) -> Model:
     """Return the model that holds the named effects."""
     columns = [i for name in selected.effects for i in space.groups[name]]
-    covariance = (selected.covariance * np.outer(space.scale, space.scale))[np.ix_(columns, columns)]
     return Model(
         vehicle_id=logs.vehicle.id,
         vehicle_name=logs.vehicle.name,
         effects={each.name: _whole(space, selected, each.name) for each in named},
-        covariance=Covariance(
-            names=tuple(f"{space.columns[i].owner}.{space.columns[i].key}" for i in columns),
-            matrix=tuple(tuple(float(x) for x in row) for row in 0.5 * (covariance + covariance.T)),
-        )
-        if columns
-        else None,
+        covariance=covariance_of(space, selected, columns) if columns else None,
         sources={each.name: space.effects[each.name].source_id for each in named},
         data=tuple(data.flight.id for data in logs.flights),
         provenance=dict(provenance or {}),

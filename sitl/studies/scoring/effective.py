@@ -141,7 +141,7 @@ def nearest(known: Effective) -> dict[str, dict[str, float]]:
         columns = list(space.groups[candidate])
         build = np.diag(prior.precision(())[columns])
         out[name] = {
-            other: _stands_out(
+            other: _sigma_beyond_build(
                 information_of(space, known.gram, names, candidate, other, prior), build, known.z[columns]
             )
             for other in others
@@ -149,11 +149,11 @@ def nearest(known: Effective) -> dict[str, dict[str, float]]:
     return out
 
 
-def _stands_out(information: np.ndarray, build: np.ndarray, size: np.ndarray) -> float:
-    """Return by how many sigma an effect stands out of what the build deviates in the same parameters.
+def _sigma_beyond_build(information: np.ndarray, build: np.ndarray, size: np.ndarray) -> float:
+    """Return by how many sigma an effect exceeds noise and the build's deviations in the same parameters.
 
     A vehicle without the effect still deviates in them within tolerance, so an effect of n tolerances never
-    stands out by more than n sigma. information: about its parameters. build: precision of the deviations.
+    exceeds them by more than n sigma. information: about its parameters. build: precision of the deviations.
     """
     within = build @ np.linalg.solve(information + build, information)
     return float(np.sqrt(max(size @ within @ size, 0.0)))

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pytest
-from scipy.optimize import minimize
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.decision.rules import RULES
@@ -198,25 +197,6 @@ def test_fit_process_recovers_the_true_variances() -> None:
     assert process.log_lateral == pytest.approx(truth.log_lateral, abs=0.5)
     assert process.log_axial == pytest.approx(truth.log_axial, abs=0.6)
     assert process.log_torque == pytest.approx(truth.log_torque, abs=0.4)
-
-
-def test_minimise_in_box_agrees_with_a_bounded_search() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        A = rng.standard_normal((9, 3))
-        normal, step = A.T @ A, rng.standard_normal(3)
-        lower, upper = np.array([-0.3, -9.0, -9.0]), np.array([9.0, 0.4, 9.0])
-
-        def rise(at: np.ndarray, step: np.ndarray = step, normal: np.ndarray = normal) -> float:
-            return float((at - step) @ normal @ (at - step))
-
-        best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
-        held = evidence.minimise_in_box(normal, step, lower, upper)
-        assert np.all((held >= lower) & (held <= upper))
-        assert rise(held) == pytest.approx(best.fun, abs=1e-6)
-    assert np.array_equal(
-        evidence.minimise_in_box(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2)
-    )
 
 
 def test_bounded_step_lets_other_parameters_compensate_a_bound() -> None:

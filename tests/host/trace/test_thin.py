@@ -103,12 +103,13 @@ def test_flights_of_two_vehicles_are_refused() -> None:
     assert refusal.value.details == {"code": Code.MIXED_VEHICLES}
 
 
-def hovered(folder: Path, world: str, seed: int) -> Flight:
+def hovered(folder: Path, world: str, seed: int, *, tolerances: bool = True) -> Flight:
     vehicle = load_vehicle("research")
     nodes = tuple(Node(100_000 * k, (0.0,) * 12) for k in range(81))
     reference = Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, -1.2), nodes=nodes)
-    file, log = folder / "world.toml", folder / "hover.mcap"
-    file.write_text(f'description = "A hover"\ntolerances = true\n{world}', encoding="utf-8")
+    file, log = folder / "world.toml", folder / f"hover{seed}.mcap"
+    drawn = str(tolerances).lower()
+    file.write_text(f'description = "A hover"\ntolerances = {drawn}\n{world}', encoding="utf-8")
     simulated = vehicle_class().create(vehicle, world=str(file), world_seed=seed)
     fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=log), simulated)
     return read_flight(log)

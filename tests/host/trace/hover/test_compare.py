@@ -11,20 +11,17 @@ from pathlib import Path
 
 import pytest
 
+from tests.host.trace import test_thin
 from tests.host.trace.test_thin import sampled
 from trimtab.host.effects import load_effects
 from trimtab.host.imports.formats import read
 from trimtab.host.imports.write import write
-from trimtab.host.link.flight_request import FlightRequest
-from trimtab.host.link.fly import fly_lockstep
-from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.log import Flight, read_flight
 from trimtab.host.trace.decision.findings import LogsRefused
 from trimtab.host.trace.hover.compare import compares_hovers
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
-from trimtab.protocol.blobs import Node, Reference
 
 CRAZYPAD = Path(__file__).parents[5] / "shared" / "data" / "crazypad"
 UNEVEN = {"torque-bias": {"x": 2.0, "y": 0.0, "z": -1.0}}
@@ -36,18 +33,11 @@ def lost(rotor: int, share: float) -> dict[str, dict[str, float]]:
 
 
 def hovered(folder: Path, effects: dict[str, dict[str, float]], seed: int) -> Flight:
-    vehicle = load_vehicle("research")
-    nodes = tuple(Node(100_000 * k, (0.0,) * 12) for k in range(81))
-    reference = Reference(vehicle_id=vehicle.id, origin_ned=(0.0, 0.0, -1.2), nodes=nodes)
-    tables = "".join(
+    world = "".join(
         f"[effects.{name}]\n" + "".join(f"{key} = {value}\n" for key, value in values.items())
         for name, values in effects.items()
     )
-    world, log = folder / f"{seed}.toml", folder / f"{seed}.mcap"
-    world.write_text(f'description = "A hover"\ntolerances = false\n{tables}', encoding="utf-8")
-    simulated = vehicle_class().create(vehicle, world=str(world), world_seed=seed)
-    fly_lockstep(FlightRequest(vehicle=vehicle, reference=reference, log_path=log), simulated)
-    return sampled(read_flight(log), gyro=False)
+    return sampled(test_thin.hovered(folder, world, seed, tolerances=False), gyro=False)
 
 
 @pytest.fixture(scope="module")
