@@ -134,6 +134,7 @@ def _alternatives(
     fitting = {name for fit in fits if fit.widest <= bound for name in fit.effects}
     others = {name: p for name, p in inclusion.items() if p > RULES.alias_probability}
     others |= {name: max(inclusion[name], RULES.open_probability) for name in fitting}
+    others = dict(sorted(others.items(), key=lambda item: (-item[1], item[0])))
     aliases = {
         name: {other: p for other, p in others.items() if other not in selected.effects}
         for name in selected.effects

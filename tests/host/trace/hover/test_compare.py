@@ -85,6 +85,7 @@ def test_a_weak_rotor_is_found_with_its_size_and_the_attached_mass_that_looks_li
     loss = effect.parameters[f"loss_{rotor}"]
     assert abs(loss.value - 0.12) < 2.0 * loss.sd < 0.04
     assert explanations(result) == {"rotor-loss", "com-offset", "mass"}
+    assert [*effect.aliases] == ["com-offset", "mass"]  # most probable first, then by name
     assert effect.probability <= 0.5
 
 
