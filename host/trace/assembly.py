@@ -28,7 +28,8 @@ from trimtab.host.trace.segment_fit.fit import SegmentFit, theta_without_effects
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Diagnosis
 
-_SPEED_S = 0.1  # time over which the speeds of the trained region are means: the noise of poses averages out
+SPEED_S = 0.1
+"""Time over which the speeds of the trained region are means: the noise of poses averages out."""
 
 
 def named_effects(
@@ -197,8 +198,8 @@ def far_adjustments(space: ParameterSpace, model: Model) -> tuple[Finding, ...]:
 
 
 def _speeds(data: Segments) -> Annotated[np.ndarray, "pairs"]:
-    """Return the mean speed from each pose to the first of its segment that is at least _SPEED_S later."""
-    span = round(_SPEED_S / data.dt_s)
+    """Return the mean speed from each pose to the first of its segment that is at least SPEED_S later."""
+    span = round(SPEED_S / data.dt_s)
     speeds = []
     for p, weight in zip(data.p_ned, data.pose_weight, strict=True):
         posed = np.flatnonzero(weight > 0)

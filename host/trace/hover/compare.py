@@ -12,10 +12,12 @@ from trimtab.host.effects.unknowns import THRUST_CURVE
 from trimtab.host.log import Flight
 from trimtab.host.log.provenance import count_simulated
 from trimtab.host.models.model import Model
-from trimtab.host.trace.assembly import covariance_of, values_of
+from trimtab.host.models.region import Region
+from trimtab.host.trace.assembly import SPEED_S, covariance_of, values_of
 from trimtab.host.trace.data.audit import audit
 from trimtab.host.trace.data.logs import TraceData
-from trimtab.host.trace.data.signals import without_inputs
+from trimtab.host.trace.data.signals import nominal_thrust, without_inputs
+from trimtab.host.trace.data.stretches import within
 from trimtab.host.trace.decision.alternatives import possible_beside
 from trimtab.host.trace.decision.decide import hidden, is_null_open, not_excluded
 from trimtab.host.trace.decision.findings import Code, Finding, LogsRefused, Verdict
@@ -192,8 +194,30 @@ def _model(
         effects={each.name: _whole(space, selected, each.name) for each in named},
         covariance=covariance_of(space, selected, columns) if columns else None,
         sources={each.name: space.effects[each.name].source_id for each in named},
+        region=_region(logs),
         data=tuple(data.flight.id for data in logs.flights),
         provenance=dict(provenance or {}),
+    )
+
+
+def _region(logs: TraceData) -> Region:
+    """Return the speeds, tilts and nominal thrusts of the flights."""
+    speeds, tilts, thrusts = [], [], []
+    for s in (data.signals for data in logs.flights):
+        flown = within(s.pose_s, s.span_s)
+        t_s, p = s.pose_s[flown], s.p_ned[flown]
+        later = np.searchsorted(t_s, t_s + SPEED_S)
+        first, second = np.flatnonzero(later < len(t_s)), later[later < len(t_s)]
+        speeds.append(np.linalg.norm(p[second] - p[first], axis=1) / (t_s[second] - t_s[first]))
+        tilts.append(np.arccos(np.clip(s.R_ned_frd[flown, 2, 2], -1.0, 1.0)))
+        commands = s.command[within(s.input_s[:, 1], s.span_s)]
+        thrusts.append(nominal_thrust(logs.vehicle, commands, in_newton=s.in_newton).sum(-1))
+    collective = np.maximum(np.concatenate(thrusts), 0.0)
+    return Region(
+        speed_max_m_s=float(np.quantile(np.concatenate(speeds), 0.999)),
+        tilt_max_deg=float(np.rad2deg(np.quantile(np.concatenate(tilts), 0.999))),
+        thrust_min_n=float(np.quantile(collective, 0.001)),
+        thrust_max_n=float(np.quantile(collective, 0.999)),
     )
 
 

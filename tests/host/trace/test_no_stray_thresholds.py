@@ -90,7 +90,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "SIGMA_MAX": "greatest separation that a linearisation can mean; greater ones are clipped",
     },
     "assembly.py": {
-        "_SPEED_S": "time over which the speeds of the trained region are means",
+        "SPEED_S": "time over which the speeds of the trained region are means",
     },
     "prediction.py": {
         "_LEAD_S": "time in which a segment's start settles",

@@ -13,15 +13,18 @@ import pytest
 
 from tests.host.trace import test_thin
 from tests.host.trace.test_thin import sampled
+from trimtab.host import cli
 from trimtab.host.effects import load_effects
 from trimtab.host.imports.formats import read
 from trimtab.host.imports.write import write
-from trimtab.host.log import Flight, read_flight
+from trimtab.host.log import Flight, read_flight, write_imported
+from trimtab.host.models.file import read_model
 from trimtab.host.trace.decision.findings import LogsRefused
 from trimtab.host.trace.hover.compare import compares_hovers
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
+from trimtab.sitl.studies.files import read_json
 
 CRAZYPAD = Path(__file__).parents[5] / "shared" / "data" / "crazypad"
 UNEVEN = {"torque-bias": {"x": 2.0, "y": 0.0, "z": -1.0}}
@@ -126,6 +129,37 @@ def test_the_same_logs_give_the_same_numbers(tmp_path: Path, before: list[Flight
     after = [hovered(tmp_path, UNEVEN | lost(1, 0.2), 11)]
     one, two = (compared(before, after).to_dict() for _ in range(2))
     assert one == two
+
+
+def test_command_writes_report_model_and_answer(
+    tmp_path: Path, before: list[Flight], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def imported(flight: Flight, name: str) -> str:
+        assert flight.mocap is not None
+        path = tmp_path / f"{name}.mcap"
+        write_imported(
+            path,
+            vehicle=flight.vehicle,
+            mocap=flight.mocap,
+            inputs=flight.recorded_inputs,
+            tracking_us=flight.tracking,
+            session={"from": name},
+        )
+        return str(path)
+
+    monkeypatch.chdir(tmp_path)
+    logs = [imported(flight, f"before{k}") for k, flight in enumerate(before)]
+    changed = {"com-offset": {"x": 0.006, "y": -0.003}}
+    after = imported(hovered(tmp_path, UNEVEN | changed, 11), "after")
+    assert cli.main(["trace", after, "--baseline", *logs, "-o", "out"]) == 0
+    answer = read_json(tmp_path / "out" / "trace.json")
+    assert answer["baseline"]["logs"] == [Path(log).name for log in logs]
+    assert [effect["name"] for effect in answer["effects"]] == ["com-offset"]
+    model = read_model(tmp_path / "out" / "trace.model.toml")
+    assert model.effects.keys() == {"com-offset"}
+    assert model.region is not None
+    assert 0.0 < model.region.thrust_min_n < model.region.thrust_max_n
+    assert "Since the baseline flights this changed" in (tmp_path / "out" / "trace.html").read_text()
 
 
 def test_no_flight_is_predicted(tmp_path: Path, before: list[Flight]) -> None:
