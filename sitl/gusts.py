@@ -11,7 +11,6 @@ import math
 from typing import Annotated
 
 import numpy as np
-from scipy.signal import lfilter
 
 from trimtab.sitl.plant_model import TICK_S
 from trimtab.sitl.world import Turbulence
@@ -43,16 +42,27 @@ class Gusts:
             return self._rng.standard_normal(6) * self._sd
         fresh = math.sqrt(1.0 - self._keep * self._keep)
         self._memory[:] = 0.0
-        past = lfilter([fresh], [1.0, -self._keep], self.noise(self._settle), axis=0)
-        return np.asarray(past)[-1] * self._sd
+        noise = self.noise(self._settle)
+        past, _ = _filtered(np.array([fresh, 0.0]), np.array([1.0, -self._keep]), noise, np.zeros((1, 6)))
+        return past[-1] * self._sd
 
     def noise(self, ticks: int) -> Annotated[np.ndarray, "ticks 6"]:
         """Return the noise that drives the gusts in the next ticks."""
         noise = self._rng.standard_normal((ticks, 6))
         if self._filter is not None:
-            shaped, self._memory = lfilter(*self._filter, noise[:, _TRANSVERSE], axis=0, zi=self._memory)
+            shaped, self._memory = _filtered(*self._filter, noise[:, _TRANSVERSE], self._memory)
             noise[:, _TRANSVERSE] = shaped
         return noise
+
+
+def _filtered(
+    numerator: np.ndarray, denominator: np.ndarray, noise: np.ndarray, memory: np.ndarray
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return the filtered noise (ticks, n), and the memory of the filter (1, n) after it."""
+    from scipy.signal import lfilter  # takes longer to import than most flights take, and few need it
+
+    out, after = lfilter(numerator, denominator, noise, axis=0, zi=memory)
+    return np.asarray(out), np.asarray(after)
 
 
 def _lead_lag(settings: Turbulence) -> tuple[np.ndarray, np.ndarray]:

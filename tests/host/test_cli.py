@@ -61,13 +61,15 @@ def test_help_imports_no_verb_and_nothing_heavy() -> None:
     assert printed.rstrip().endswith("LOADED [] []")
 
 
-def test_min_snap_plan_imports_no_scipy_and_no_matplotlib(tmp_path: Path) -> None:
+def test_min_snap_plan_and_its_flight_import_no_scipy_and_no_matplotlib(tmp_path: Path) -> None:
+    reference, log = str(tmp_path / "hover.ref"), str(tmp_path / "hover.mcap")
     printed = run_python(
-        "import sys\nfrom trimtab.host.cli import main\n"
-        f"main(['plan', 'hover', '-o', {str(tmp_path / 'hover.ref')!r}])\n"
-        "print('LOADED', [m for m in ('scipy', 'matplotlib', 'pymavlink', 'google') if m in sys.modules])"
+        f"import sys\nfrom trimtab.host.cli import main\nmain(['plan', 'hover', '-o', {reference!r}])\n"
+        "print('LOADED', [m for m in ('scipy', 'matplotlib', 'pymavlink', 'google') if m in sys.modules])\n"
+        f"main(['fly', {reference!r}, '-o', {log!r}])\n"
+        "print('LOADED', [m for m in ('scipy', 'matplotlib', 'pymavlink') if m in sys.modules])"
     )
-    assert printed.rstrip().endswith("LOADED []")
+    assert [line for line in printed.splitlines() if line.startswith("LOADED")] == ["LOADED []"] * 2
 
 
 @pytest.mark.parametrize(
