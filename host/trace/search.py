@@ -128,12 +128,12 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
             break
         current = best
     selected, scores = _select(fitter, fits)
-    underrated = [n for n in _underrated_substitutions(fitter, selected, scores) if n not in fits]
-    for names in underrated:
-        fits[names] = fitter.fit(names, selected)
-        on_progress(f"{', '.join(names)} fitted")
-    if underrated:
-        selected, scores = _select(fitter, fits)
+    for names in _underrated_sets(fitter, selected, scores):
+        fit = fitter.fit(names, selected)
+        on_progress(f"{', '.join(names) or 'no effect'} fitted")
+        if names not in fits or fit.log_evidence > fits[names].log_evidence:
+            fits[names] = fit
+    selected, scores = _select(fitter, fits)
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
         promising = most_probable(scores)
@@ -163,23 +163,23 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
     )
 
 
-def _underrated_substitutions(fitter: Fitter[F], selected: F, scores: Mapping[Names, float]) -> list[Names]:
-    """Return sets in which an effect stands in place of its aliases, if only its form may have decided.
+def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, float]) -> list[Names]:
+    """Return sets to fit from the selected fit: those that the screening or an earlier fit may underrate.
 
-    The linearisation does not contain the form of an effect that is absent (`ParameterSpace.forms`), so it
-    underrates that effect. scores: of the sets near the selected one, and of the empty set.
+    These are the selected set without one of its effects, and sets in which an effect stands in place of its
+    aliases. The linearisation does not contain the form of an effect that is absent
+    (`ParameterSpace.forms`), so it underrates these. An earlier fit of a smaller set may have ended in
+    another minimum. scores: of the sets near the selected one, and of the empty set.
     """
     space = fitter.space
-    trials: list[Names] = []
+    trials = [tuple(other for other in selected.effects if other != name) for name in selected.effects]
     for name in space.candidates:
         replaced = [other for other in selected.effects if space.are_aliases(name, other)]
         if name in selected.effects or not space.forms[name]:
             continue
         for group in {(other,) for other in replaced} | {tuple(replaced)} - {()}:
-            names = tuple(sorted({*selected.effects, name} - set(group)))
-            if space.admissible(names):
-                trials.append(names)
-    trials = sorted(set(trials))
+            trials.append(tuple(sorted({*selected.effects, name} - set(group))))
+    trials = sorted({names for names in trials if space.admissible(names)})
     if not trials:
         return []
     margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))

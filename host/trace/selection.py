@@ -19,7 +19,6 @@ from trimtab.host.trace.flight_fit.fit import (
     FlightFitter,
     fit_closed_loop,
     prior_of,
-    search_temper,
 )
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
@@ -286,7 +285,7 @@ def without_payload_artefacts(
     if not any(fitter.space.effect(name).memory for name in selected.effects):
         return result
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
-    tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / search_temper(fitter.order)
+    tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
     if residual is not None:
         tie_nats = max(tie_nats, share * residual.attainable_nats(RULES))
     names = most_parsimonious(result, tie_nats)

@@ -175,8 +175,7 @@ class Rules:
         2.0,
         "1",
         "Information of whitened residuals is divided by this, since they stay correlated beyond the windows "
-        "of the autoregression (`whitening.WINDOWS`); in the search only if the data is too short for all "
-        "windows.",
+        "of the autoregression (`whitening.WINDOWS`).",
         MEASURED,
     )
     min_widening: float = _rule(

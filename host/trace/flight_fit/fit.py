@@ -23,7 +23,6 @@ from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
 from trimtab.host.trace.flight_fit.whitening import (
-    WINDOWS,
     Regressors,
     Whitening,
     autoregression,
@@ -38,7 +37,7 @@ from trimtab.host.trace.search import Names, Score
 LOOP_SETTLED = 0.3
 """A fit ends at a step smaller than this many standard deviations."""
 
-_ITERATIONS = 6
+_ITERATIONS = 8
 _GIVEN_WHITENING_ITERATIONS = 6
 """Greatest number of iterations of `fit_with_whitening`."""
 
@@ -113,23 +112,25 @@ def fit_closed_loop(
     precision = prior.precision(effects)
     theta_scaled = space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
-    iteration = 0
+    iteration, afresh = 0, False
     while True:
-        slopes = loop.slopes(theta_scaled, effects, base)
+        slopes = loop.slopes(theta_scaled, effects, base, afresh=afresh)
         take_step = partial(_linear_step, loop, base, slopes, order, theta_scaled, precision)
         step, covariance, white, grams = take_step(np.zeros(len(theta_scaled)))
         for _ in range(2):
             step, covariance, white, grams = take_step(step)
         small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
-        if small or iteration == _ITERATIONS - 1:
+        known = afresh or not effects or loop.knows_slopes(theta_scaled)
+        if (small and known) or iteration == _ITERATIONS - 1:
             break
         moved, residuals = _line_search(loop, white, precision, theta_scaled, step, base)
-        if np.array_equal(moved, theta_scaled):
+        stopped = np.array_equal(moved, theta_scaled)
+        if stopped and known:
             break
-        theta_scaled, base = moved, residuals
+        theta_scaled, base, afresh = moved, residuals, small or stopped
         iteration += 1
     count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / search_temper(order)
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / RULES.temper
     return FlightFit(
         effects=tuple(sorted(effects)),
         theta_scaled=space.clipped(theta_scaled + step),
@@ -142,15 +143,6 @@ def fit_closed_loop(
         grams=grams,
         error_m=_position_rms(loop, base),
     )
-
-
-def search_temper(order: int) -> float:
-    """Return the divisor of the information in a search with an autoregression of this order.
-
-    If there is too little data for all windows, innovations stay correlated, and effects that ring like the
-    loop's answer to a gust would explain them. It is RULES.temper then, and 1 otherwise.
-    """
-    return RULES.temper if order < len(WINDOWS) else 1.0
 
 
 def _linear_step(
@@ -170,7 +162,7 @@ def _linear_step(
         return regressors(r, loop.recordings[index].known, order)
 
     white = autoregression(loop.each(regressors_of))
-    grams = whitened_grams(white, loop, base, slopes) / search_temper(order) + _of_rotors(loop, theta_scaled)
+    grams = whitened_grams(white, loop, base, slopes) / RULES.temper + _of_rotors(loop, theta_scaled)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
 
@@ -222,7 +214,7 @@ def _line_search(
 
     rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
     points = np.column_stack([theta_scaled, points])
-    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / search_temper(white.order)
+    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
     if loop.speeds is not None:
         cost += loop.speeds.squares(points)
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
@@ -253,7 +245,9 @@ class FlightFitter:
         """Return the set `effects` fitted from `start`."""
         theta_scaled = start.theta_scaled.copy()
         for name in set(start.effects) - set(effects):
-            theta_scaled[[*self.space.groups[name], *self.space.forms[name]]] = 0.0
+            columns = [*self.space.groups[name], *self.space.forms[name]]
+            spike = self.prior.spike[columns]
+            theta_scaled[columns] = np.clip(theta_scaled[columns], -spike, spike)
         for name in set(effects) - set(start.effects):
             if self.space.effect(name).starts:
                 gain, theta_start = self._start_gain(name, start)
@@ -313,7 +307,7 @@ class FlightFitter:
         def gram_of(index: int, r: np.ndarray) -> np.ndarray:
             columns = np.concatenate([base[index][None], slopes[index], base[index] - r])
             white = whitened(fit.whitening, columns, self.loop.recordings[index].known)
-            return white @ white.T / search_temper(self.order)
+            return white @ white.T / RULES.temper
 
         gram = np.sum(self.loop.with_residuals(points, gram_of), axis=0)
         others = [i for i in range(len(fit.theta_scaled)) if i not in columns]

@@ -37,6 +37,11 @@ Result = TypeVar("Result")
 _THETA_STEP = 1e-4
 """Step of the difference quotients, scaled."""
 
+_FAR = 0.5
+"""Change of a strength, scaled, beyond which the slopes of all effects are computed again."""
+_NEAR = 0.1
+"""Change of the strengths, scaled, up to which slopes count as those of a point."""
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class _Batch:
@@ -133,7 +138,9 @@ class ClosedLoop:
         self.recordings, self.space, self.speeds, self.jobs = tuple(recordings), space, speeds, jobs
         self._rows = [i for name in space.parts for i in space.owners[name]]
         self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
+        self._strengths = [i for i in self._rows if space.columns[i].strength and not space.columns[i].form]
         self._slopes: Slopes | None = None
+        self._slopes_at = np.zeros(len(space.columns))
         effects = tuple(space.effects[name] for name in space.parts)
         settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
         for index in sorted(range(len(recordings)), key=lambda index: recordings[index].bins):
@@ -239,7 +246,7 @@ class ClosedLoop:
         """
         space = self.space
         updated = {i for name in effects for i in (*space.groups[name], *space.forms[name])} | self._products
-        whole = afresh or self._slopes is None
+        whole = afresh or self._slopes is None or self._change(theta_scaled) > _FAR
         active = set(space.active(theta_scaled).tolist())
         rows = [i for i in self._rows if i in active and (whole or i in updated)]
         if whole:
@@ -264,8 +271,16 @@ class ClosedLoop:
             parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if whole else self._slopes
         )
         if whole:
-            self._slopes = result
+            self._slopes, self._slopes_at = result, theta_scaled.copy()
         return result
+
+    def knows_slopes(self, theta_scaled: Annotated[np.ndarray, "parameters"]) -> bool:
+        """Return whether the slopes of all effects were computed at theta_scaled, or close to it."""
+        return self._slopes is not None and self._change(theta_scaled) <= _NEAR
+
+    def _change(self, theta_scaled: np.ndarray) -> float:
+        """Return the greatest change of a strength since the slopes of all effects were computed."""
+        return float(np.abs(theta_scaled - self._slopes_at)[self._strengths].max(initial=0.0))
 
 
 def _flights_together(lanes: int) -> int:

@@ -16,7 +16,7 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import FlightFit, fit_with_whitening, search_temper
+from trimtab.host.trace.flight_fit.fit import FlightFit, fit_with_whitening
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
 from trimtab.host.trace.flight_fit.whitening import (
@@ -102,20 +102,17 @@ def turbulence(
 def refit_with_turbulence_whitening(
     loop: ClosedLoop, fit: FlightFit, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> FlightFit:
-    """Return `fit` refitted with the whitening of turbulence; without repeat flights, `fit` tempered.
+    """Return `fit` refitted with the whitening of turbulence; without repeat flights, `fit` itself.
 
     The search whitens by the whole residual of a set, so a residual that no effect explains counts as noise
     and cannot lead to the selection of an effect. To estimate the size of an effect, only chance should count
     as noise: the refit weights the data by turbulence and noise, not by what the library cannot explain.
 
-    Without repeat flights the estimate stays. Then RULES.temper multiplies the covariance and divides the
-    Grams, as far as the search has not done so. order: greatest order of the autoregression. repeat_flights:
-    pairs of indices into the loop's recordings.
+    order: greatest order of the autoregression. repeat_flights: pairs of indices into the loop's recordings.
     """
     white = turbulence(loop, fit.theta_scaled, order, repeat_flights)
     if white is None:
-        temper = RULES.temper / search_temper(order)
-        return replace(fit, covariance=temper * fit.covariance, grams=fit.grams / temper)
+        return fit
     theta_scaled, covariance, grams = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
     return replace(
         fit, theta_scaled=theta_scaled, at=theta_scaled, covariance=covariance, whitening=white, grams=grams

@@ -4,7 +4,7 @@ A gust shows in position, attitude and rate at once, so all channels of a bin ar
 the bins before it. Recent bins enter one by one, earlier ones as means (Corsi 2009, "A simple approximate
 long-memory model of realized volatility"). The closed loop takes about a second to reject a gust. Windows
 that reach back that far overfit the few gusts of the flights and whiten no better. The innovations therefore
-keep a slow part; `trimtab.host.trace.flight_fit.fit.fit_with_whitening` allows for it by `RULES.temper`.
+keep a slow part; the fits allow for it by `RULES.temper`.
 """
 
 from __future__ import annotations

@@ -50,6 +50,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_TOGETHER": "number of flights that are rolled out in one call",
         "STABLE": "stability limit of RK4 along the real axis",
         "_THETA_STEP": "step of the difference quotients",
+        "_FAR": "distance after which a linearisation is made again",
+        "_NEAR": "distance up to which a linearisation counts as that of a point",
     },
     "flight_fit/recording.py": {
         "SAMPLE_S": "step of the roll-out",

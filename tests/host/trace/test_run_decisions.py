@@ -45,7 +45,7 @@ from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.selection import Method, selected_set_is_judged, without_payload_artefacts
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
-TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory
+TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
 OTHER = VEHICLE.replace(mass_kg=0.8)
 WEIGHED = 0.005
 """Tolerance of the mass below which the vehicle was weighed."""
@@ -242,18 +242,14 @@ def test_selected_set_is_judged_unless_it_is_empty_and_improbable(
     assert selected_set_is_judged(outcome) == judged
 
 
-FULL_ORDER = len(WINDOWS)
-"""Order of an autoregression with all its windows: the search is not tempered."""
-
-
 class KnownLoopFitter:
     """Stand-in for the flight fitter that records its calls."""
 
     loop = None
+    order = len(WINDOWS)
 
-    def __init__(self, space: ParameterSpace, order: int = FULL_ORDER) -> None:
+    def __init__(self, space: ParameterSpace) -> None:
         self.space = space
-        self.order = order
         self.calls: list[tuple[Names, FlightFit]] = []
 
     def fit(self, effects: Names, start: FlightFit) -> FlightFit:
@@ -269,13 +265,12 @@ def without_faults(
     monkeypatch: pytest.MonkeyPatch,
     outcome: SearchResult[FlightFit],
     residual: FlightRepeat | None,
-    order: int = FULL_ORDER,
 ) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
     """Return the reduced search result if the residual of whole flights repeats, and the fitter."""
     monkeypatch.setattr(
         selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
     )
-    fitter = KnownLoopFitter(SWINGING, order)
+    fitter = KnownLoopFitter(SWINGING)
     return without_payload_artefacts(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
@@ -318,19 +313,6 @@ def test_without_payload_artefacts_drops_effects_that_explain_little_beside_a_sw
     else:
         assert reduced_result is outcome
         assert fitter.calls == []
-
-
-@pytest.mark.parametrize(
-    ("share", "reduced"),
-    [pytest.param(BELOW, True, id="just-within"), pytest.param(ABOVE, False, id="just-beyond")],
-)
-def test_without_payload_artefacts_of_tempered_evidence_asks_for_a_tempered_gain(
-    monkeypatch: pytest.MonkeyPatch, share: float, reduced: bool
-) -> None:
-    gap = FAULT * 400.0 / RULES.temper * share
-    outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap})
-    result, _ = without_faults(monkeypatch, outcome, nats(400.0), FULL_ORDER - 1)
-    assert result.selected.effects == (("payload",) if reduced else BOTH.effects)
 
 
 def test_without_payload_artefacts_of_a_set_without_swing_is_unchanged(

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Any, cast
 
 import numpy as np
@@ -30,7 +30,7 @@ from trimtab.host.trace.search import (
     _is_supported,
     _most_parsimonious,
     _proposals,
-    _underrated_substitutions,
+    _underrated_sets,
     most_parsimonious,
     most_probable,
     null_probability_of,
@@ -330,11 +330,11 @@ def known(fitted: Mapping[Names, float], screened: Mapping[Names, float]) -> Kno
     return KnownEvidence(FORMED, (0.1,) * len(FORMED.columns), fitted, screened)
 
 
-def substitutions(selected: Names, screened: Mapping[Names, float], gained: float) -> list[Names]:
+def underrated(selected: Names, screened: Mapping[Names, float], gained: float) -> list[Names]:
     """Return the sets to fit if the selected one gains so many nats, in a scale shifted by 7 nats."""
     fitter = known({}, screened)
     fit = build_closed_fit(selected, log_evidence=gained + 7.0)
-    return _underrated_substitutions(cast("Fitter[FlightFit]", fitter), fit, {(): 7.0})
+    return _underrated_sets(cast("Fitter[FlightFit]", fitter), fit, {(): 7.0})
 
 
 SHARE = RULES.form_share
@@ -353,24 +353,28 @@ def test_an_alias_with_a_form_is_fitted_if_only_its_form_may_decide(
     gained: float, behind: float, expected: list[Names]
 ) -> None:
     screened = {("wind",): 3.0, ("drag",): 3.0 - behind}
-    assert substitutions(("wind",), screened, gained) == expected
+    assert underrated(("wind",), screened, gained) == expected
 
 
 @pytest.mark.parametrize(
     ("selected", "expected"),
     [
         pytest.param((), [], id="nothing-to-replace"),
-        pytest.param(("wind",), [("drag",)], id="in-its-place"),
-        pytest.param(("lag", "wind"), [("drag", "lag")], id="beside-the-others"),
-        pytest.param(("lag",), [], id="no-alias"),
-        pytest.param(("drag",), [], id="an-alias-without-form"),
-        pytest.param(("drag", "wind"), [], id="selected-itself"),
+        pytest.param(("wind",), [(), ("drag",)], id="in-its-place"),
+        pytest.param(("lag", "wind"), [("drag", "lag"), ("lag",), ("wind",)], id="beside-the-others"),
+        pytest.param(("lag",), [()], id="no-alias"),
+        pytest.param(("drag",), [()], id="an-alias-without-form"),
+        pytest.param(("drag", "wind"), [("drag",), ("wind",)], id="selected-itself"),
         pytest.param(
-            ("lift", "wind"), [("drag",), ("drag", "lift"), ("drag", "wind")], id="of-one-alias-and-of-all"
+            ("lift", "wind"),
+            [("drag",), ("drag", "lift"), ("drag", "wind"), ("wind",)],
+            id="of-one-alias-and-of-all",
         ),
     ],
 )
-def test_an_effect_with_a_form_takes_the_place_of_its_aliases(selected: Names, expected: list[Names]) -> None:
+def test_an_effect_with_a_form_takes_the_place_of_its_aliases_and_each_effect_is_left_out(
+    selected: Names, expected: list[Names]
+) -> None:
     every: list[Names] = [
         ("drag",),
         ("wind",),
@@ -383,11 +387,35 @@ def test_an_effect_with_a_form_takes_the_place_of_its_aliases(selected: Names, e
     screened: dict[Names, float] = dict.fromkeys(
         [*every, ("lag", "wind"), ("lift", "wind"), ("gain", "lag"), ()], 0.0
     )
-    assert substitutions(selected, screened, 100.0) == expected
+    assert underrated(selected, screened, 100.0) == expected
 
 
 def searched(fitter: KnownEvidence) -> Any:
     return search(cast("Fitter[FlightFit]", fitter), fitter.fit((), BEST))
+
+
+@dataclass(frozen=True)
+class AnotherMinimum(KnownEvidence):
+    """Fitter that finds the greatest evidence of the wind only from a fit with more effects."""
+
+    def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
+        fit = super().fit(effects, start)
+        far = fit.effects == ("wind",) and len(start.effects) < 2
+        return replace(fit, log_evidence=fit.log_evidence - 40.0) if far else fit
+
+
+@pytest.mark.parametrize(
+    ("best", "expected"),
+    [
+        pytest.param(99.0, ("wind",), id="as-good-without"),
+        pytest.param(80.0, ("lag", "wind"), id="worse-without"),
+    ],
+)
+def test_search_fits_the_selected_set_without_each_effect_again(best: float, expected: Names) -> None:
+    """The first fit of the wind ends in another minimum, 40 nats worse."""
+    fitted = {(): 0.0, ("wind",): best, ("lag", "wind"): 100.0}
+    fitter = AnotherMinimum(FORMED, (0.1,) * len(FORMED.columns), fitted, fitted)
+    assert searched(fitter).selected.effects == expected
 
 
 def test_search_finds_an_effect_that_the_screening_underrates_for_lack_of_its_form() -> None:

@@ -94,7 +94,7 @@ def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace
     added = ("motor-lag", *others)
     grown = score([tuple(sorted((*PRESENT[::2], name))) for name in added])
     assert added[int(np.argmax(grown))] == "motor-lag"
-    assert fit.log_evidence - without.log_evidence > 3.0
+    assert fit.log_evidence - without.log_evidence > 3.0 / RULES.temper
 
 
 def test_parameters_of_simulated_flights_lie_within_their_intervals(
@@ -193,29 +193,16 @@ def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: ClosedLoo
     assert drag - nothing > 5.0
 
 
-@pytest.mark.parametrize(
-    ("order", "divisor"),
-    [
-        pytest.param(1, RULES.temper, id="one-window"),
-        pytest.param(len(WINDOWS) - 1, RULES.temper, id="all-but-one"),
-        pytest.param(len(WINDOWS), 1.0, id="all-windows"),
-    ],
-)
-def test_search_is_tempered_unless_the_data_determines_all_windows(order: int, divisor: float) -> None:
-    assert refine.search_temper(order) == divisor
-
-
 @pytest.mark.parametrize("order", [len(WINDOWS) - 1, len(WINDOWS)])
 def test_fit_counts_tempered_information_in_estimate_and_evidence(
     library: ParameterSpace, loop: ClosedLoop, order: int
 ) -> None:
     """Computed again from the residuals that the fit is linearised at."""
-    divisor = refine.search_temper(order)
     made = simulated(loop, scaled(library, quadratic_drag__c=0.06), 5)
     fit = refine.fit_closed_loop(made, ("quadratic-drag",), np.zeros(len(library.columns)), order)
     base = [r[0] for r in made.residuals(fit.at[:, None])]
     slopes = made.slopes(fit.at, fit.effects, base)
-    grams = refine.whitened_grams(fit.whitening, made, base, slopes) / divisor
+    grams = refine.whitened_grams(fit.whitening, made, base, slopes) / RULES.temper
     np.testing.assert_allclose(fit.grams, grams, rtol=1e-6, atol=1e-9 * np.abs(grams).max())
     prior = refine.prior_of(library)
     total = fit.grams.sum(0)[1:, 1:] + np.diag(prior.precision(fit.effects))
@@ -223,7 +210,7 @@ def test_fit_counts_tempered_information_in_estimate_and_evidence(
     free = ~library.at_bound(fit.theta_scaled)
     np.testing.assert_allclose(np.diag(fit.covariance)[free], variance[free], rtol=1e-3)
     bins = sum(len(whitening.usable_bins(known, whitening.span_of(order))) for known in made.known)
-    log_det = bins * np.linalg.slogdet(fit.whitening.innovation)[1] / divisor
+    log_det = bins * np.linalg.slogdet(fit.whitening.innovation)[1] / RULES.temper
     (nats,) = evidence.log_evidences(grams.sum(0), log_det, fit.at, prior, [fit.effects], library.bounds)
     assert fit.log_evidence == pytest.approx(nats, rel=1e-6)
 

@@ -15,7 +15,7 @@ from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, turbulence
-from trimtab.host.trace.flight_fit.whitening import CHANNELS, WINDOWS, Whitening
+from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
 
 LONG = 200
 REPEAT_FLIGHTS = [(0, 1)]
@@ -105,12 +105,6 @@ def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     np.testing.assert_array_equal(refitted.grams, grams)
     assert refitted.whitening is whitenings[0]
     assert (refitted.effects, refitted.log_evidence) == (FIT.effects, FIT.log_evidence)
-
-
-def test_without_repeat_flights_a_fit_of_full_order_is_tempered() -> None:
-    fit = refit_with_turbulence_whitening(loop_of(), FIT, len(WINDOWS), [])
-    np.testing.assert_allclose(fit.covariance, RULES.temper * FIT.covariance)
-    np.testing.assert_allclose(fit.grams, FIT.grams / RULES.temper)
 
 
 def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
