@@ -36,6 +36,27 @@ class Region:
             thrust_max_n=float(thrust.max()),
         )
 
+    @classmethod
+    def measured(
+        cls,
+        speed_m_s: Annotated[np.ndarray, "speeds"],
+        tilt_cosine: Annotated[np.ndarray, "tilts"],
+        thrust: Annotated[np.ndarray, "thrusts"],
+    ) -> Region:
+        """Return the region of measured data, without the thousandth of each kind that is farthest out.
+
+        tilt_cosine: down component of the vehicle's down axis. thrust: nominal collective thrusts, N;
+        negative ones count as 0.
+        """
+        tilt = np.arccos(np.clip(tilt_cosine, -1.0, 1.0))
+        thrust = np.maximum(thrust, 0.0)
+        return cls(
+            speed_max_m_s=float(np.quantile(speed_m_s, 0.999)),
+            tilt_max_deg=float(np.rad2deg(np.quantile(tilt, 0.999))),
+            thrust_min_n=float(np.quantile(thrust, 0.001)),
+            thrust_max_n=float(np.quantile(thrust, 0.999)),
+        )
+
     def outside(
         self, x: Annotated[np.ndarray, "samples _"], thrust: Annotated[np.ndarray, "samples"]
     ) -> Annotated[np.ndarray, "samples"]:

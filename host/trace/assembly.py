@@ -158,9 +158,7 @@ def model_of(
         kept = [i for i, c in enumerate(space.columns) if c.key in held[c.owner]]
         covariance = covariance_of(space, diagnosis.selected, kept)
     data, vehicle = diagnosis.selected.data, flights[0].vehicle
-    tilt = np.arccos(np.clip(data.R_ned_frd[:, :, 8], -1.0, 1.0))
-    thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton)
-    thrust = np.maximum(thrust.sum(-1), 0.0)
+    thrust = nominal_thrust(vehicle, data.command, in_newton=data.in_newton).sum(-1)
     return Model(
         vehicle_id=vehicle.id,
         vehicle_name=vehicle.name,
@@ -168,12 +166,7 @@ def model_of(
         adjustments=adjustments,
         covariance=covariance,
         sources={name: space.effects[name].source_id for name in space.parts if name in owners},
-        region=Region(
-            speed_max_m_s=float(np.quantile(_speeds(data), 0.999)),
-            tilt_max_deg=float(np.rad2deg(np.quantile(tilt[data.pose_weight > 0], 0.999))),
-            thrust_min_n=float(np.quantile(thrust, 0.001)),
-            thrust_max_n=float(np.quantile(thrust, 0.999)),
-        ),
+        region=Region.measured(_speeds(data), data.R_ned_frd[:, :, 8][data.pose_weight > 0], thrust),
         data=tuple(flight.id for flight in flights),
         provenance=dict(provenance or {}),
     )

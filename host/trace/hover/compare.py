@@ -202,23 +202,17 @@ def _model(
 
 def _region(logs: TraceData) -> Region:
     """Return the speeds, tilts and nominal thrusts of the flights."""
-    speeds, tilts, thrusts = [], [], []
+    speeds, cosines, thrusts = [], [], []
     for s in (data.signals for data in logs.flights):
         flown = within(s.pose_s, s.span_s)
         t_s, p = s.pose_s[flown], s.p_ned[flown]
         later = np.searchsorted(t_s, t_s + SPEED_S)
         first, second = np.flatnonzero(later < len(t_s)), later[later < len(t_s)]
         speeds.append(np.linalg.norm(p[second] - p[first], axis=1) / (t_s[second] - t_s[first]))
-        tilts.append(np.arccos(np.clip(s.R_ned_frd[flown, 2, 2], -1.0, 1.0)))
+        cosines.append(s.R_ned_frd[flown, 2, 2])
         commands = s.command[within(s.input_s[:, 1], s.span_s)]
         thrusts.append(nominal_thrust(logs.vehicle, commands, in_newton=s.in_newton).sum(-1))
-    collective = np.maximum(np.concatenate(thrusts), 0.0)
-    return Region(
-        speed_max_m_s=float(np.quantile(np.concatenate(speeds), 0.999)),
-        tilt_max_deg=float(np.rad2deg(np.quantile(np.concatenate(tilts), 0.999))),
-        thrust_min_n=float(np.quantile(collective, 0.001)),
-        thrust_max_n=float(np.quantile(collective, 0.999)),
-    )
+    return Region.measured(np.concatenate(speeds), np.concatenate(cosines), np.concatenate(thrusts))
 
 
 def _whole(space: ParameterSpace, selected: HoverFit, owner: str) -> dict[str, float]:
