@@ -41,7 +41,7 @@ class Region:
         cls,
         speed_m_s: Annotated[np.ndarray, "speeds"],
         tilt_cosine: Annotated[np.ndarray, "tilts"],
-        thrust: Annotated[np.ndarray, "thrusts"],
+        thrust: Annotated[np.ndarray, "..."],
     ) -> Region:
         """Return the region of measured data, without the thousandth of each kind that is farthest out.
 
