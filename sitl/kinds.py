@@ -211,7 +211,7 @@ KINDS: dict[str, Kind] = {
         Kind(
             name="dead-zone",
             quantities=(
-                _number("width", 0.08, 0.02, 0.0, 0.6),  # half width, in thrusts at hover
+                _number("width", 0.08, 0.01, 0.0, 0.6),  # half width, in thrusts at hover
                 _number("centre", 0.05, 0.02, 0.3, 2.0, neutral=1.0, drawn=(0.98, 1.02)),
             ),
             spread="above",

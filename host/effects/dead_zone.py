@@ -6,32 +6,35 @@ from trimtab.host.effects.effect import Closing, Effect
 from trimtab.host.effects.parameter import Parameter
 from trimtab.host.effects.unknowns import THRUST
 
-_NARROW = 0.06
+_NARROW = 0.03
+_EDGE = 0.0025
+"""Width of the zone's edges, in rotor speeds at hover: fast variations of the command blur them."""
+_FAR = 40.0
+"""Distance from an edge, in its widths, from which on nothing is left of the zone."""
+_SLOWEST = 0.03
+"""Least rotor speed, over that at hover: the root has a finite slope there."""
 
 
 def _driven(ops, theta, command_n, hover_n):
     width, centre = theta
-    off = command_n / hover_n - centre
-    # A smooth step, since fast variations of the command blur the edges of the zone. A narrower zone than
-    # _NARROW takes a share of the command's change, so that flights have a slope at a width of 0.
+    middle = ops.sqrt(centre)
+    off = ops.sqrt(ops.maximum(command_n / hover_n, _SLOWEST * _SLOWEST)) - middle
+    # A zone narrower than _NARROW takes a share of the command's change, so that flights have a slope at a
+    # width of 0.
     lost = ops.minimum(width / _NARROW, 1.0)
-    inside, outside = _sixteenth_power(ops.maximum(width, _NARROW)), _sixteenth_power(off)
-    return hover_n * (centre + off * (1.0 - lost * inside / (inside + outside)))
-
-
-def _sixteenth_power(x):
-    x2 = x * x
-    x4 = x2 * x2
-    x8 = x4 * x4
-    return x8 * x8
+    half = ops.maximum(width, _NARROW) / (2.0 * middle)
+    beyond = (ops.maximum(off, -off) - half) / _EDGE
+    speed = middle + off * (1.0 - lost / (1.0 + ops.exp(ops.minimum(beyond, _FAR))))
+    return hover_n * speed * speed
 
 
 EFFECT = Effect(
     name="dead-zone",
     title="Dead zone of the motors",
     family="timing",
-    equation="T_i,driven = T_h (centre + d (1 - s w^16 / (w^16 + d^16))), d = T_i,command / T_h - centre, "
-    "w = max(width, 0.06), s = min(width / 0.06, 1), T_h: thrust of a rotor at hover",
+    equation="T_i,driven = T_h n^2, n = sqrt(centre) + d (1 - s v^16 / (v^16 + d^16)), "
+    "d = sqrt(T_i,command / T_h) - sqrt(centre), v = max(width, 0.03) / (2 sqrt(centre)), "
+    "s = min(width / 0.03, 1), T_h: thrust of a rotor at hover",
     source="motor controllers that round their input or hold a speed against small changes: 1-5 % of full "
     "command",
     parameters=(
@@ -40,7 +43,7 @@ EFFECT = Effect(
             unit="1",
             neutral=0.0,
             typical=0.08,
-            tolerance=0.02,
+            tolerance=0.01,
             lower=0.0,
             upper=0.6,
             description="half width of the zone over the thrust of a rotor at hover",
@@ -66,6 +69,7 @@ EFFECT = Effect(
         law=None,
         no_law="a command in the zone has no effect; turn the dead band off in the motor controllers",
     ),
-    starts=((0.04, 1.0), (0.08, 1.0), (0.12, 1.0)),
+    noise_dependent=True,
+    starts=tuple((0.05 * 1.2**step, 1.0) for step in range(11)),
     driven_thrust_n=_driven,
 )

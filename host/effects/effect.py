@@ -193,6 +193,9 @@ class Effect:
         comparison of hovers they are one cause.
     form_torque
         Whether `torque_frd` is 0 at the neutral form (`Parameter.form`). No plan avoids such a torque.
+    noise_dependent
+        Whether the noise in the loop decides what the effect does, as it does where the effect is not smooth.
+        Predictions of whole flights contain no noise, so they cannot show it.
     memory
         Number of states that the effect adds. `memory_start` gives their values at rest, `memory_rates` their
         derivatives.
@@ -255,6 +258,7 @@ class Effect:
     changes_hover: bool = False
     comes_with: tuple[str, ...] = ()
     form_torque: bool = False
+    noise_dependent: bool = False
     memory: int = 0
     starts: tuple[Theta, ...] = ()
     mass_factor: Callable[[Ops, Theta], Scalar] | None = None

@@ -59,6 +59,7 @@ def gather_inputs(
         inclusion_probability=diagnosis.inclusion_probability,
         detectability=diagnosis.detectability,
         by_segments=by_segments,
+        closed_loop=not by_segments or bool(diagnosis.noise_dependent),
         residual=replace(residual, flight_repeat=after),
         residual_without=replace(without, flight_repeat=before),
         disturbance_sigma=tuple(selected.process.sigma().tolist()),

@@ -68,6 +68,8 @@ class Diagnosis:
         Log evidence in nats of every fitted set.
     detectability
         Number of sigma by which each effect of typical size would show in these flights.
+    noise_dependent
+        Effects because of which whole flights, though there are some, were not fitted.
     repeatability
         Repeatability of the residual of whole flights, with the selected set and without effects; None
         without repeat flights.
@@ -80,6 +82,7 @@ class Diagnosis:
     posterior_weights: Mapping[Names, float]
     log_evidence: Mapping[Names, float]
     detectability: Mapping[str, float]
+    noise_dependent: Names = ()
     repeatability: tuple[FlightRepeat | None, FlightRepeat | None] = (None, None)
 
     @property
@@ -140,14 +143,39 @@ def select_effects(
     """
     null_fit = refit(segment_model, data, (), None, iterations=3)
     on_progress("no effect fitted")
+    fitter = SegmentFitter(segment_model=segment_model)
     if not flights:
-        return _from_segments(segment_model, null_fit, on_progress)
+        return _from_segments(fitter, null_fit, null_fit, on_progress)
+    noisy = noise_dependent_effects(fitter, null_fit)
+    if noisy:
+        start = fitter.fit((), fitter.fit(noisy, null_fit))
+        diagnosis = _from_segments(fitter, null_fit, start, on_progress)
+        if any(diagnosis.inclusion_probability[name] > RULES.alias_probability for name in noisy):
+            return replace(diagnosis, noise_dependent=noisy)
     return _from_flights(segment_model, null_fit, flights, repeat_flights, on_progress)
 
 
-def _from_segments(segment_model: SegmentModel, null_fit: SegmentFit, on_progress: OnProgress) -> Diagnosis:
-    """Select the effects from segments."""
-    result = search(SegmentFitter(segment_model=segment_model), null_fit, on_progress)
+def noise_dependent_effects(fitter: SegmentFitter, null_fit: SegmentFit) -> Names:
+    """Return the effects that segments show and whole flights cannot, since they depend on noise.
+
+    Each gains much at one of its start values, or leaves its tolerance in the fit without effects.
+    """
+    space, spikes = fitter.space, np.abs(null_fit.theta_scaled) / fitter.prior.spike
+
+    def shown(name: str) -> bool:
+        size = max(spikes[i] for i in space.groups[name] if space.columns[i].strength)
+        gain = fitter.start_gain(name, null_fit)
+        return size > RULES.noise_dependent_spikes or gain > RULES.worth_fitting_nats
+
+    return tuple(n for n in space.candidates if space.effect(n).noise_dependent and shown(n))
+
+
+def _from_segments(
+    fitter: SegmentFitter, null_fit: SegmentFit, start: SegmentFit, on_progress: OnProgress
+) -> Diagnosis:
+    """Select the effects from segments. The search starts at `start`, a fit without effects."""
+    segment_model = fitter.segment_model
+    result = search(fitter, start, on_progress)
     selected = replace(
         result.selected, covariance=inflated_segment_covariance(segment_model.space, result.selected)
     )

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 
 from trimtab.host.codegen import NUMPY
+from trimtab.host.effects import load_effects
 from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.sitl.draw import World, draw_world
 from trimtab.sitl.plant import Plant
@@ -244,12 +245,10 @@ def test_dead_zone_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
     hover = hover_speed(vehicle) ** 2
     seen, commanded = (speed[0] ** 2 / hover).mean(1), (sent**2 / hover).mean(1)
 
-    def host(width: float) -> np.ndarray:
-        off = commanded - 1.0
-        return 1.0 + off * (1.0 - width**16 / (width**16 + off**16))
-
+    host = load_effects()["dead-zone"].driven_thrust_n
+    assert host is not None
     widths = np.linspace(0.06, 0.1, 81)
-    left = [float(np.linalg.norm(seen - host(width))) for width in widths]
+    left = [float(np.linalg.norm(seen - host(NUMPY, (width, 1.0), commanded, 1.0))) for width in widths]
     assert widths[int(np.argmin(left))] == pytest.approx(0.08, rel=NEAR)
     judge("dead-zone", min(left) / float(np.linalg.norm(seen - commanded)))
 

@@ -76,7 +76,7 @@ def with_undetectable(
 def with_each_other(aliases: Aliases, space: ParameterSpace, rules: Rules) -> dict[str, dict[str, float]]:
     """Return `aliases` together with the known aliases among the selected effects themselves.
 
-    Used if only segments were fitted or there are no repeat flights. No effect's equation is exact, so a
+    Used if there are no whole flights or no repeat flights. No effect's equation is exact, so a
     stated alias may have been selected only because it explains the error of another selected effect's
     equation. An effect that acts through another one is no alias of it.
     """

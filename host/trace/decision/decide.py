@@ -46,6 +46,9 @@ class DecisionInputs:
         Sigma by which each effect of typical size would show in these flights.
     by_segments
         Whether the set was selected from segments, not from whole flights in closed loop.
+    closed_loop
+        Whether there were whole flights to select from. If the set was selected from segments all the same,
+        an effect that depends on noise is the reason.
     residual, residual_without
         Unexplained residual of the selected set, and of the model without effects. If the search selected no
         effect although the posterior makes that improbable, `residual` is that of the most probable set.
@@ -73,6 +76,7 @@ class DecisionInputs:
     inclusion_probability: Mapping[str, float]
     detectability: Mapping[str, float]
     by_segments: bool
+    closed_loop: bool
     residual: UnexplainedResidual
     residual_without: UnexplainedResidual
     disturbance_sigma: Sequence[float]
@@ -203,7 +207,7 @@ def _aliases(inputs: DecisionInputs, too_little: bool, rules: Rules) -> dict[str
     aliases = aliases_of(inputs.selected, inputs.posterior_weights, inputs.space, rules)
     if too_little:
         aliases = with_undetectable(aliases, inputs.space, inputs.detectability, rules)
-    if inputs.by_segments or not inputs.has_repeats:
+    if not (inputs.closed_loop and inputs.has_repeats):
         aliases = with_each_other(aliases, inputs.space, rules)
     return aliases
 

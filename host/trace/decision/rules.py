@@ -49,6 +49,12 @@ class Rules:
         "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
         "best. A start value of an effect is used only if it gains more than this.",
     )
+    noise_dependent_spikes: float = _rule(
+        2.5,
+        "spikes",
+        "Segments show an effect that depends on noise if it is farther than this from neutral in their fit "
+        "without effects. Effects are then selected from segments.",
+    )
     form_share: float = _rule(
         0.1,
         "1",

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.segments import Segments
+from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
 from trimtab.host.trace.parameters import ParameterSpace
@@ -29,6 +30,12 @@ SEGMENTS_SETTLED = 0.2
 """Greatest step, in standard deviations, at which a fit ends. If fits ended at greater steps, their evidence
 would depend on where they start, by several nats.
 """
+
+
+_ITERATIONS = 15
+_GAINED_NATS = 1.0
+_PATIENCE = 2
+"""A fit ends after this many iterations in a row that gain less than _GAINED_NATS."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -71,11 +78,14 @@ def starting_process(data: Segments) -> DisturbanceVariances:
     return START_RATE_DRIVEN if data.rate_driven else START
 
 
-@dataclass(frozen=True, kw_only=True)
+@dataclass(frozen=True, kw_only=True, eq=False)
 class SegmentFitter:
     """Fitter of sets of effects to command-driven segments."""
 
     segment_model: SegmentModel
+    _starts: dict[tuple[str, Names, bytes], tuple[float, np.ndarray]] = field(
+        default_factory=dict, init=False
+    )
 
     @property
     def space(self) -> ParameterSpace:
@@ -89,6 +99,17 @@ class SegmentFitter:
 
     def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
         """Return the set `effects` refitted from `start`."""
+        for name in sorted(set(effects) - set(start.effects)):
+            if self._has_starts(name):
+                gain, theta_scaled = self._best_start(name, start)
+                if gain > RULES.worth_fitting_nats:
+                    return refit(
+                        self.segment_model,
+                        undisturbed(start.data),
+                        effects,
+                        start,
+                        theta_scaled=theta_scaled,
+                    )
         return refit(self.segment_model, start.data, effects, start)
 
     def scorers(self, fit: SegmentFit) -> list[Score]:
@@ -108,12 +129,77 @@ class SegmentFitter:
         ]
 
     def underrated_extensions(self, fit: SegmentFit) -> list[Names]:
-        """Return no set.
+        """Return sets with one more effect that gains much from one of its start values."""
+        absent = sorted(set(self.space.candidates) - set(fit.effects))
+        return [
+            tuple(sorted((*fit.effects, name)))
+            for name in absent
+            if self.start_gain(name, fit) > RULES.worth_fitting_nats
+        ]
 
-        No effect needs start values here: segments start on the measured path, which already contains a
-        payload's swing.
+    def start_gain(self, name: str, fit: SegmentFit) -> float:
+        """Return the gain in nats of an effect at the best of its starts; 0 if it needs none."""
+        return self._best_start(name, fit)[0] if self._has_starts(name) else 0.0
+
+    def _has_starts(self, name: str) -> bool:
+        """Return whether fits of the effect may start from the values in its effect file.
+
+        An effect with states of its own needs none: segments start on the measured path, which already
+        contains a payload's swing.
         """
-        return []
+        effect = self.space.effect(name)
+        return bool(effect.starts) and not effect.memory
+
+    def _best_start(self, name: str, fit: SegmentFit) -> tuple[float, np.ndarray]:
+        """Return the gain in nats of the effect at the best of its starts, and theta_scaled there.
+
+        Such an effect is not smooth: a fit from neutral would end near it. The other parameters are those of
+        `fit`, or all neutral: what explains an absent effect may have driven them far away. They are fixed.
+        There is no disturbance at the starts, since that of `fit` explains the effect as well.
+        """
+        key = (name, fit.effects, fit.lin.theta_scaled.tobytes())
+        if key not in self._starts:
+            columns = list(self.space.groups[name])
+            starts = self.space.effect(name).starts
+            others = (fit.lin.theta_scaled, theta_without_effects(self.space, fit))
+            points = np.repeat(np.stack(others), len(starts), axis=0)
+            for point, values in zip(points, starts * len(others), strict=True):
+                point[columns] = [
+                    (value - self.space.columns[i].neutral) / self.space.columns[i].scale
+                    for value, i in zip(values, columns, strict=True)
+                ]
+            costs = self._costs(fit, undisturbed(fit.data), points)
+            best = int(np.argmin(costs))
+            (without,) = self._costs(fit, fit.data, fit.lin.theta_scaled[None])
+            self._starts[key] = without - costs[best], points[best]
+        return self._starts[key]
+
+    def _costs(self, fit: SegmentFit, data: Segments, points: np.ndarray) -> list[float]:
+        """Return the negative log evidence of points with the process of `fit`, up to a constant."""
+        lins = linearise.residuals_alone(self.segment_model, data, points, fit.lin.nuisances, fit.basis)
+        costs = [
+            0.5 * float(evidence.marginal_grams(lin, fit.process, self.prior).gram[0, 0]) for lin in lins
+        ]
+        return [cost if np.isfinite(cost) else np.inf for cost in costs]
+
+
+def undisturbed(data: Segments) -> Segments:
+    """Return the segments without process disturbance."""
+    return data.with_w(np.zeros_like(data.disturbance_frd))
+
+
+@dataclass(frozen=True)
+class _Iterate:
+    """A step of `refit`: cost and linearisation of its point, then what a fit that ends there returns."""
+
+    cost: float
+    lin: Linearisation
+    white: evidence.MarginalGrams
+    process: DisturbanceVariances
+    data: Segments
+    step: Annotated[np.ndarray, "parameters"]
+    covariance: Annotated[np.ndarray, "parameters parameters"]
+    nuisances: Annotated[np.ndarray, "flights nuisances"]
 
 
 def refit(
@@ -122,7 +208,8 @@ def refit(
     effects: Sequence[str],
     start: SegmentFit | None,
     *,
-    iterations: int = 6,
+    theta_scaled: Annotated[np.ndarray, "parameters"] | None = None,
+    iterations: int = _ITERATIONS,
 ) -> SegmentFit:
     """Fit all parameters by Gauss-Newton under the prior of `effects`.
 
@@ -130,6 +217,8 @@ def refit(
     disturbance) is reused by later fits, so the first fit, without `start`, also finds the trajectories for
     it. On wrong trajectories the basis column of, say, a constant torque would differ from the column of an
     effect that acts alike, and terms that should cancel would look like information.
+
+    Where an effect is not smooth, a step may increase the cost. The fit then returns the best iterate.
 
     Parameters
     ----------
@@ -141,28 +230,34 @@ def refit(
         Effects that are free within the slab of the prior; all others stay within the spike.
     start
         Fit from which parameters, process and basis start; None for a first fit.
+    theta_scaled
+        Parameters to start from, scaled, where they are far from those of `start`. Every step then takes the
+        basis again, on the trajectories that it leads to.
     iterations
         Greatest number of Gauss-Newton steps.
     """
     space, prior = segment_model.space, segment_model.space.prior
-    precision = prior.precision(effects)
+    precision, far = prior.precision(effects), theta_scaled is not None
     if start is None:
         theta_scaled, process = np.zeros(len(space.columns)), starting_process(data)
         nuisances = np.zeros((int(data.flight.max()) + 1, segment_model.nuisances))
         data = data.with_w(linearise.disturbance_from_measured_rotation(segment_model, data))
         basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     else:
-        theta_scaled, nuisances, process = start.lin.theta_scaled.copy(), start.lin.nuisances, start.process
+        theta_scaled = (start.lin.theta_scaled if theta_scaled is None else theta_scaled).copy()
+        nuisances, process = start.lin.nuisances, start.process
         for name in set(start.effects) - set(effects):
-            theta_scaled[[*space.groups[name], *space.forms[name]]] = 0.0
+            if not space.effect(name).starts:  # the prior alone pulls such an effect back: see `_best_start`
+                theta_scaled[[*space.groups[name], *space.forms[name]]] = 0.0
         if space.rolled is not space:
             # Of two sets the common parameters are nearly free, so what takes the place of an effect that
             # leaves must be found on trajectories that it would give: attitude responds strongly to torque.
             left = theta_scaled - start.lin.theta_scaled
             data = data.with_w(evidence.disturbances(start.lin, process, left, np.zeros_like(nuisances)))
         basis = start.basis
-    iteration = 0
-    while True:
+    best: _Iterate | None = None
+    idle = 0
+    for iteration in range(iterations):
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
@@ -173,32 +268,37 @@ def refit(
         step, covariance = evidence.bounded_step(
             white.gram, theta_scaled, precision, space.bounds, space.added
         )
-        sigma = np.sqrt(np.diag(covariance))
-        settled = iteration >= 1 and (np.abs(step) / sigma).max() < SEGMENTS_SETTLED
-        done = np.abs(step).max() < 0.03 or settled or iteration == iterations - 1
+        largest = (np.abs(step) / np.sqrt(np.diag(covariance))).max()
+        settled = np.abs(step).max() < 0.03 or (iteration >= 1 and largest < SEGMENTS_SETTLED)
         step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
-        if done:
-            break
         nuisance_step = evidence.nuisance_step(lin, white, prior, step)
+        cost = 0.5 * (float(white.gram[0, 0] + precision @ theta_scaled**2) + white.log_det)
+        gained = best is None or start is None or cost < best.cost - _GAINED_NATS
+        idle = 0 if gained else idle + 1
+        if best is None or gained or far or cost < best.cost:
+            best = _Iterate(cost, lin, white, process, data, step, covariance, nuisances + nuisance_step)
+        if settled or idle == _PATIENCE:
+            break
         nuisances = nuisances + nuisance_step
         data = data.with_w(evidence.disturbances(lin, process, step, nuisance_step))
         theta_scaled = theta_scaled + step
-        if start is None and iteration < 2:
+        if far or (start is None and iteration < 2):
             data = data.with_x0(linearise.fitted_x0(segment_model, data, theta_scaled, nuisances, basis, 2))
             basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
-        iteration += 1
         del lin  # before the next one is made: of many flights each is large
+    assert best is not None
+    at = best.lin.theta_scaled
     return SegmentFit(
         effects=tuple(sorted(effects)),
         log_evidence=evidence.log_evidences(
-            white.gram, white.log_det, theta_scaled, prior, [effects], space.bounds
+            best.white.gram, best.white.log_det, at, prior, [effects], space.bounds
         )[0],
-        theta_scaled=theta_scaled + step,
-        nuisances=nuisances + evidence.nuisance_step(lin, white, prior, step),
-        covariance=covariance,
-        process=process,
-        lin=lin,
-        data=data,
+        theta_scaled=at + best.step,
+        nuisances=best.nuisances,
+        covariance=best.covariance,
+        process=best.process,
+        lin=best.lin,
+        data=best.data,
         basis=basis,
     )
 

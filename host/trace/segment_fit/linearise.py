@@ -32,6 +32,9 @@ _STORED = 200
 _PART = 32
 """Segments of a flight that are rolled out together."""
 
+_THINNED = 4
+"""`residuals_alone` looks at one of this many segments."""
+
 _X_STEP = np.full(STATES, 1e-6)
 TURN_STEPS = 6
 """Steps between the poses that give a body rate. More average attitude noise, fewer follow fast turns."""
@@ -130,6 +133,18 @@ class _Lanes:
         self.bins = np.zeros((data.bins, 6, count))
         self.steps = np.ones(count)
 
+    def residuals(
+        self,
+        segment_model: SegmentModel,
+        data: Segments,
+        bins: Annotated[np.ndarray, "bins 6 lanes"] | None = None,
+    ) -> Annotated[np.ndarray, "lanes segments residuals"]:
+        """Return the residual of every lane. bins: disturbance that is added to the lanes."""
+        predicted = roll_out(
+            segment_model, data, self.x0, self.theta_scaled, self.nuisances, bins, self.memory
+        )
+        return residuals(data, predicted)
+
     def jacobian(
         self, segment_model: SegmentModel, data: Segments, *, bins: bool
     ) -> Annotated[np.ndarray, "segments lanes residuals"]:
@@ -137,11 +152,7 @@ class _Lanes:
 
         bins: whether lanes perturb the disturbance.
         """
-        added = self.bins if bins else None
-        r = residuals(
-            data,
-            roll_out(segment_model, data, self.x0, self.theta_scaled, self.nuisances, added, self.memory),
-        )
+        r = self.residuals(segment_model, data, self.bins if bins else None)
         A = (r[0] - r) / self.steps[:, None, None]
         A[0] = r[0]
         return np.swapaxes(A, 0, 1)
@@ -299,10 +310,82 @@ def _stepped_x0(
     theta_scaled: of the roll-outs. columns: of the basis, and their Grams. memory: of `remembered`.
     """
     lanes = _Lanes(part, part.x0, theta_scaled, nuisances, memory, 1)
-    residual = lanes.jacobian(segment_model, part, bins=False)[:, 0]
+    return part.x0 + _x0_step(lanes.residuals(segment_model, part), columns)[0]
+
+
+def _x0_step(residual: np.ndarray, columns: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the Gauss-Newton steps (lanes, segments, 12) of initial states that reduce `residual`.
+
+    residual: (lanes, segments, residuals). columns: of the basis, and their Grams.
+    """
     states, gram = (each[:, :STATES] for each in columns)
     normal = gram[:, :, :STATES] + 1e-9 * np.eye(STATES)
-    return part.x0 + np.linalg.solve(normal, states @ residual[:, :, None])[:, :, 0]
+    return np.linalg.solve(normal, states @ residual[..., None])[..., 0]
+
+
+def residuals_alone(
+    segment_model: SegmentModel,
+    data: Segments,
+    points: Annotated[np.ndarray, "points parameters"],
+    nuisances: Annotated[np.ndarray, "flights nuisances"],
+    basis: Basis,
+) -> list[Linearisation]:
+    """Return the linearisations at several points without parameters, whose slopes take most of the time.
+
+    They hold one of _THINNED segments. The states of effects are those of the basis. Arguments are those of
+    `linearise`.
+    """
+    picked = np.arange(0, len(data.flight), _THINNED)
+    piece, piece_flight = _pieces(data.flight, len(nuisances))
+    lins = [
+        Linearisation.blank(
+            data.bins,
+            piece=piece[picked],
+            piece_flight=piece_flight,
+            theta_scaled=np.zeros(0),
+            nuisances=nuisances,
+            jobs=segment_model.jobs,
+        )
+        for _ in points
+    ]
+
+    def reduce(part: Segments, segments: np.ndarray, flight: int) -> list[OwnGrams]:
+        inside = segments % _THINNED == 0
+        if not inside.any():
+            return [[] for _ in points]
+        columns = basis.columns(segment_model, part, segments, flight)
+        columns = columns[0][inside], columns[1][inside]
+        segments = segments[inside]
+        part, memory = data.of_flight(flight, segments), basis.memory[:, :, segments]
+        of_flight = np.stack([segment_model.space.of_flight(point, flight) for point in points], axis=1)
+        lanes = _Lanes(part, part.x0, of_flight[:, 0], nuisances[flight], memory, len(points))
+        lanes.theta_scaled = of_flight
+        lanes.x0 += _x0_step(lanes.residuals(segment_model, part), columns).transpose(2, 0, 1)
+        own = []
+        for lin, r in zip(lins, lanes.residuals(segment_model, part), strict=True):
+            r = _with_disturbance(r[:, None], segment_model, part, columns[0])
+            own.append(lin.reduce(segments // _THINNED, _without_x0(_gram(r, columns), 1)))
+        return own
+
+    for parts in _each_part(segment_model, data, reduce):
+        for lin, own in zip(lins, parts, strict=True):
+            lin.add(own)
+    return lins
+
+
+def _with_disturbance(
+    A: np.ndarray, segment_model: SegmentModel, part: Segments, columns: np.ndarray
+) -> np.ndarray:
+    """Return A (segments, n, residuals) with the disturbance added to its first column, the residual."""
+    w = part.disturbance_frd.reshape(len(A), 1, -1)
+    A[:, 0] += (w @ columns[:, STATES + segment_model.nuisances :])[:, 0]
+    return A
+
+
+def _gram(A: np.ndarray, columns: tuple[np.ndarray, np.ndarray]) -> np.ndarray:
+    """Return the Grams of A (segments, n, residuals) and the columns of the basis."""
+    cross = A @ np.swapaxes(columns[0], 1, 2)
+    return np.block([[A @ np.swapaxes(A, 1, 2), cross], [np.swapaxes(cross, 1, 2), columns[1]]])
 
 
 def linearise(
@@ -335,10 +418,10 @@ def linearise(
     )
 
     def reduce(part: Segments, segments: np.ndarray, flight: int) -> tuple[OwnGrams, np.ndarray]:
-        columns, columns_gram = basis.columns(segment_model, part, segments, flight)
+        columns = basis.columns(segment_model, part, segments, flight)
         starts, points = memory[:, :, segments], points_of(flight)
         x0[segments] = _stepped_x0(
-            segment_model, part, points[:, 0], nuisances[flight], (columns, columns_gram), starts[:, :1]
+            segment_model, part, points[:, 0], nuisances[flight], columns, starts[:, :1]
         )
         lanes = _Lanes(part, x0[segments], points[:, 0], nuisances[flight], starts, len(taken))
         lanes.steps[1:] = _THETA_STEP
@@ -346,12 +429,10 @@ def linearise(
         slopes = lanes.jacobian(segment_model, part, bins=False)
         A = np.zeros((len(segments), count, slopes.shape[2]))
         A[:, taken] = slopes
-        w = part.disturbance_frd.reshape(len(segments), 1, -1)
-        A[:, 0] += (w @ columns[:, STATES + segment_model.nuisances :])[:, 0]
+        A = _with_disturbance(A, segment_model, part, columns[0])
         sizes = np.einsum("spn,spn->p", A, A)
-        cross = A @ np.swapaxes(columns, 1, 2)
-        gram = np.block([[A @ np.swapaxes(A, 1, 2), cross], [np.swapaxes(cross, 1, 2), columns_gram]])
-        return lin.reduce(segments, space.expanded(_without_x0(gram, count), flight)), sizes
+        gram = space.expanded(_without_x0(_gram(A, columns), count), flight)
+        return lin.reduce(segments, gram), sizes
 
     parts, sizes = zip(*_each_part(segment_model, data, reduce), strict=True)
     space.rolled.check_finite(np.sum(sizes, axis=0))

@@ -20,12 +20,21 @@ from tests.host.trace.builders import (
     build_space,
 )
 from trimtab.host.effects.parameter import form
+from trimtab.host.trace import selection
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.fit import FlightFitter
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
-from trimtab.host.trace.selection import detectability, present_effects, without_contradicted
+from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter
+from trimtab.host.trace.selection import (
+    Method,
+    detectability,
+    noise_dependent_effects,
+    present_effects,
+    select_effects,
+    without_contradicted,
+)
 
 ROTOR = build_effect("rotor", *(build_parameter(f"loss_{k}") for k in (1, 2, 3)), one_of=True)
 PAIR = build_effect("pair", build_parameter("x"), build_parameter("y"))
@@ -217,3 +226,69 @@ def test_without_contradicted_leaves_sets_with_the_effect_no_more_than_half(
     found = without_contradicted(outcome, {"drag"}).posterior_weights
     total = sum(found.values())
     assert {names: weight / total for names, weight in found.items()} == pytest.approx(expected)
+
+
+NOISY = build_space(
+    "drag",
+    build_effect(
+        "zone", build_parameter("width"), build_parameter("centre", strength=False), noise_dependent=True
+    ),
+)
+SHOWN = RULES.noise_dependent_spikes * SPIKE
+GAIN = RULES.worth_fitting_nats
+
+
+def noisy_fitter(gain: float) -> SegmentFitter:
+    """Return a fitter of NOISY in which every start value gains that much."""
+    prior = Prior(groups=NOISY.groups, spike=np.full(len(NOISY.columns), SPIKE), nuisance_sigma=np.ones(1))
+    fitter = SimpleNamespace(space=NOISY, prior=prior, start_gain=lambda name, fit: gain)
+    fitter.fit = lambda effects, start: start
+    return cast(SegmentFitter, fitter)
+
+
+@pytest.mark.parametrize(
+    ("theta_scaled", "gain", "expected"),
+    [
+        pytest.param((0, 0, 0), 0.0, (), id="nothing"),
+        pytest.param((9, 0, 0), 0.0, (), id="another-effect"),
+        pytest.param((0, SHOWN * BELOW, 0), 0.0, (), id="within-tolerance"),
+        pytest.param((0, SHOWN * ABOVE, 0), -99.0, ("zone",), id="beyond-tolerance"),
+        pytest.param((0, -SHOWN * ABOVE, 0), 0.0, ("zone",), id="of-either-sign"),
+        pytest.param((0, 0, 9), 0.0, (), id="a-place-is-no-strength"),
+        pytest.param((0, 0, 0), GAIN * BELOW, (), id="a-start-that-gains-little"),
+        pytest.param((0, 0, 0), GAIN * ABOVE, ("zone",), id="a-start-that-gains-much"),
+    ],
+)
+def test_segments_show_an_effect_that_depends_on_noise(
+    theta_scaled: Sequence[float], gain: float, expected: Names
+) -> None:
+    null_fit = cast(SegmentFit, SimpleNamespace(theta_scaled=np.array(theta_scaled, dtype=float)))
+    assert noise_dependent_effects(noisy_fitter(gain), null_fit) == expected
+
+
+@pytest.mark.parametrize(
+    ("gain", "probability", "flights", "method", "noisy"),
+    [
+        pytest.param(0.0, 1.0, 8, "closed-loop", (), id="segments-show-nothing"),
+        pytest.param(2 * GAIN, 1.0, 8, "segments", ("zone",), id="segments-show-it"),
+        pytest.param(2 * GAIN, RULES.alias_probability * ABOVE, 8, "segments", ("zone",), id="possible"),
+        pytest.param(2 * GAIN, RULES.alias_probability * BELOW, 8, "closed-loop", (), id="improbable"),
+        pytest.param(2 * GAIN, 1.0, 0, "segments", (), id="no-whole-flights"),
+    ],
+)
+def test_whole_flights_are_not_fitted_if_an_effect_depends_on_noise(
+    gain: float,
+    probability: float,
+    flights: int,
+    method: Method,
+    noisy: Names,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    null_fit = SimpleNamespace(theta_scaled=np.zeros(3))
+    found = build_diagnosis(inclusion_probability={"drag": 0.0, "zone": probability})
+    monkeypatch.setattr(selection, "refit", lambda *_, **__: null_fit)
+    monkeypatch.setattr(selection, "SegmentFitter", lambda segment_model: noisy_fitter(gain))
+    monkeypatch.setattr(selection, "_from_segments", lambda *_: replace(found, method="segments"))
+    monkeypatch.setattr(selection, "_from_flights", lambda *_: replace(found, method="closed-loop"))
+    diagnosis = select_effects(None, None, (None,) * flights, (), lambda _: None)  # type: ignore[arg-type]
+    assert (diagnosis.method, diagnosis.noise_dependent) == (method, noisy)

@@ -90,12 +90,12 @@ def test_short_tracking_leaves_out_detectable_aliases_and_other_effects() -> Non
     [
         pytest.param({}, False, id="closed-loop-with-repeats"),
         pytest.param({"residual": ALONE}, True, id="closed-loop-without-repeats"),
-        pytest.param({"by_segments": True}, True, id="segments-with-repeats"),
-        pytest.param({"by_segments": True, "residual": ALONE}, True, id="segments-without-repeats"),
+        pytest.param({"closed_loop": False}, True, id="segments-with-repeats"),
+        pytest.param({"closed_loop": False, "residual": ALONE}, True, id="segments-without-repeats"),
         pytest.param(SHORT, False, id="short-with-repeats"),
     ],
 )
-def test_selected_effects_are_mutual_aliases_only_for_segments_or_without_repeats(
+def test_selected_effects_are_mutual_aliases_only_without_whole_flights_or_repeats(
     changes: dict[str, Any], extended: bool
 ) -> None:
     decision = decide(build_inputs(("drag", "lift"), space=RELATED, **changes))

@@ -29,6 +29,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "disturbance_correlation": 0.75,
     "max_effects": 6,
     "worth_fitting_nats": 12.0,
+    "noise_dependent_spikes": 2.5,
     "form_share": 0.1,
     "present_spikes": 1.0,
     "present_sigma": 2.0,
