@@ -32,7 +32,7 @@ EFFECT = Effect(
     name="dead-zone",
     title="Dead zone of the motors",
     family="timing",
-    equation="T_i,driven = T_h n^2, n = sqrt(centre) + d (1 - s v^16 / (v^16 + d^16)), "
+    equation="T_i,driven = T_h n^2, n = sqrt(centre) + d (1 - s / (1 + exp((|d| - v) / 0.0025))), "
     "d = sqrt(T_i,command / T_h) - sqrt(centre), v = max(width, 0.03) / (2 sqrt(centre)), "
     "s = min(width / 0.03, 1), T_h: thrust of a rotor at hover",
     source="motor controllers that round their input or hold a speed against small changes: 1-5 % of full "

@@ -190,6 +190,16 @@ class ParameterSpace:
         del flight
         return theta_scaled
 
+    def at_starts(
+        self, name: str, theta_scaled: Annotated[np.ndarray, "parameters"]
+    ) -> Annotated[np.ndarray, "starts parameters"]:
+        """Return theta_scaled with the candidate `name` at each of the start values in its effect file."""
+        columns, starts = list(self.groups[name]), np.array(self.effect(name).starts)
+        points = np.repeat(theta_scaled[None], len(starts), axis=0)
+        neutral = np.array([self.columns[i].neutral for i in columns])
+        points[:, columns] = (starts - neutral) / self.scale[columns]
+        return points
+
     def after_change(self) -> ParameterSpace:
         """Return the space for flights that are all after the change: here this one."""
         return self

@@ -295,12 +295,7 @@ class FlightFitter:
         of `fit`.
         """
         space, columns = self.space, list(self.space.groups[name])
-        points = np.repeat(fit.theta_scaled[:, None], len(space.effect(name).starts), axis=1)
-        for lane, values in enumerate(space.effect(name).starts):
-            points[columns, lane] = [
-                (value - space.columns[i].neutral) / space.columns[i].scale
-                for value, i in zip(values, columns, strict=True)
-            ]
+        points = space.at_starts(name, fit.theta_scaled).T
         base = [r[0] for r in self.loop.residuals(fit.theta_scaled[:, None])]
         slopes = self.loop.slopes(fit.theta_scaled, fit.effects, base)
 

@@ -159,15 +159,8 @@ class SegmentFitter:
         """
         key = (name, fit.effects, fit.lin.theta_scaled.tobytes())
         if key not in self._starts:
-            columns = list(self.space.groups[name])
-            starts = self.space.effect(name).starts
             others = (fit.lin.theta_scaled, theta_without_effects(self.space, fit))
-            points = np.repeat(np.stack(others), len(starts), axis=0)
-            for point, values in zip(points, starts * len(others), strict=True):
-                point[columns] = [
-                    (value - self.space.columns[i].neutral) / self.space.columns[i].scale
-                    for value, i in zip(values, columns, strict=True)
-                ]
+            points = np.concatenate([self.space.at_starts(name, point) for point in others])
             costs = self._costs(fit, undisturbed(fit.data), points)
             best = int(np.argmin(costs))
             (without,) = self._costs(fit, fit.data, fit.lin.theta_scaled[None])
