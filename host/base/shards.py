@@ -18,7 +18,7 @@ from trimtab.host.base.artefacts import git_state, version, write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
 
-CONFIG, PIECES = "study.json", "pieces"
+CONFIG, PIECES, SHARD = "study.json", "pieces", "shard"
 
 T = TypeVar("T")
 
@@ -37,7 +37,7 @@ class Shard:
 
     def record(self) -> dict[str, Any]:
         """Return what all shards of a study have in common, besides its configuration."""
-        return {"settings": dict(self.settings), "program": [version(), git_state()]}
+        return {SHARD: {"settings": dict(self.settings), "program": [version(), git_state()]}}
 
 
 class ShardDone(Exception):
@@ -63,9 +63,10 @@ def merge(folders: Sequence[Path], folder: Path, settings: Mapping[str, Any]) ->
     Raises UsageError for a folder without a shard, for shards that differ in settings or program from each
     other, or in settings from those of this study, and for a piece that differs between two folders.
     """
-    records = [_read(each) for each in folders]
+    configs = [_read(each) for each in folders]
+    records = [{**config, **config[SHARD]} for config in configs]
     for each, record in zip(folders, records, strict=True):
-        different = [key for key in record if record[key] != records[0].get(key)]
+        different = [key for key in record if key != SHARD and record[key] != records[0].get(key)]
         if different or len(record) != len(records[0]):
             what = ", ".join(different) or "configuration"
             raise UsageError(f"{each}: not of the same study as {folders[0]}: another {what}")
@@ -77,7 +78,7 @@ def merge(folders: Sequence[Path], folder: Path, settings: Mapping[str, Any]) ->
             name = path.relative_to(each)
             if name.name != "lock" and str(name) != CONFIG:
                 _join(path, folder / name, top=len(name.parts) == 1)
-    config = {key: value for key, value in records[0].items() if key not in ("settings", "program")}
+    config = {key: value for key, value in configs[0].items() if key != SHARD}
     if not (folder / CONFIG).is_file():
         write_atomic(folder / CONFIG, json_text(config), force=True)
 
@@ -109,8 +110,8 @@ def _read(folder: Path) -> dict[str, Any]:
     """Return what a shard's folder records. Raises UsageError."""
     try:
         record = json.loads((folder / CONFIG).read_text("utf-8"))
-        if {"settings", "program"} <= set(record):
+        if {"settings", "program"} <= set(record[SHARD]):
             return record
-    except (OSError, ValueError, TypeError):
+    except (OSError, ValueError, TypeError, KeyError):
         pass
     raise UsageError(f"{folder}: holds no shard of a study; give folders that --shard wrote")

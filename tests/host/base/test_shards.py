@@ -85,6 +85,15 @@ def test_merge_of_other_settings_configuration_or_program_is_refused(tmp_path, m
     assert not (tmp_path / "merged").exists()
 
 
+def test_a_study_that_records_its_program_is_merged_with_it(tmp_path):
+    config = {"study": "squares", "program": ["1.0", "abc"]}
+    for k in (1, 2):
+        with pytest.raises(ShardDone):
+            _run(tmp_path / str(k), parse_shard(f"{k}/2", SETTINGS), config=config)
+    merge([tmp_path / "1", tmp_path / "2"], tmp_path / "merged", SETTINGS)
+    assert _run(tmp_path / "merged", config=config) == _run(tmp_path / "whole")
+
+
 def test_merge_of_a_folder_without_a_shard_is_refused(tmp_path):
     _run(tmp_path / "whole")
     for folder in (tmp_path / "whole", tmp_path / "missing"):
