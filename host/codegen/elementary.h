@@ -4,9 +4,13 @@
    its tables and branches. A lane outside the range of a reduction, such as one that diverged, takes libm's value
    and leaves the others as they are. */
 
+typedef long long Half __attribute__((vector_size(4 * LANES)));
 INLINE int any(M m) {
+    Half halves[2];
+    memcpy(halves, &m, sizeof m);
+    Half both = halves[0] | halves[1];
     long long bits = 0;
-    for (int i = 0; i < LANES; ++i) bits |= m[i];
+    for (int i = 0; i < LANES / 2; ++i) bits |= both[i];
     return bits != 0;
 }
 

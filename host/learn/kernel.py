@@ -16,7 +16,8 @@ from pathlib import Path
 import casadi as ca
 
 from trimtab.host.codegen.compiler import Compiler
-from trimtab.host.codegen.simd import lane_source, simd_library
+from trimtab.host.codegen.lanes import lane_source
+from trimtab.host.codegen.simd import simd_library
 from trimtab.host.models.kernel import RolloutKernel, network_ends
 from trimtab.host.models.kernel import source as rollout_source
 from trimtab.host.models.network import Layout

@@ -17,13 +17,13 @@ import casadi as ca
 import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler, compiled
+from trimtab.host.codegen.lanes import lane_source
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.codegen.simd import (
     LAYERS,
     RK4,
     aligned,
     lane_count,
-    lane_source,
     pointer,
     simd_library,
 )
@@ -36,7 +36,7 @@ _SOURCE = Path(__file__).parent / "rollout.c"
 
 def source(phi: Phi, layout: Layout | None) -> str:
     """Return the C of roll-outs, which follows `trimtab.host.codegen.simd.PRELUDE`."""
-    functions = {"phi": phi.function}
+    functions: dict[str, ca.Function] = {}
     sizes = {"SIZE": phi.size, "ROWS": DRIVE_ROWS[phi.drive], "NETWORK": int(layout is not None)}
     forward: list[str] = []
     if layout is not None:
@@ -51,7 +51,8 @@ def source(phi: Phi, layout: Layout | None) -> str:
         forward.pop()  # the last layer is linear
     defines = [f"#define {name} {value}" for name, value in sizes.items()]
     defines.append(f"#define FORWARD {' '.join(forward)}")
-    emitted = [lane_source(function, name) for name, function in functions.items()]
+    emitted = [lane_source(phi.function, "phi", ("flight", "theta"))]
+    emitted += [lane_source(function, name) for name, function in functions.items()]
     return "\n".join([RK4, LAYERS, *emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
 
 

@@ -1,4 +1,4 @@
-/* Roll-outs over lanes (paper eq. 7). Behind simd.h, rk4.h, layers.h and the function phi, the sizes SIZE, ROWS and
+/* Roll-outs over lanes (paper eq. 7). Behind simd.h, rk4.h, layers.h and the functions phi and phi_constants, the sizes SIZE, ROWS and
    NETWORK, which is 0 or 1. With a network, the functions seen and given, the sizes SEEN and UNITS, and the layers'
    call FORWARD. */
 
@@ -22,14 +22,14 @@ INLINE void acceleration(Stage *s, const V *push, V *d) {
 }
 
 INLINE void slope_of(const double *xi, Stage *s, const V *drive, const V *flight, const V *theta, const V *push,
-                     V *slope) {
+                     const V *constants, V *slope) {
     V d[GIVEN];
 #if NETWORK
     seen(s->x + 3, s->u);
     FORWARD
 #endif
     acceleration(s, push, d);
-    phi(s->x, drive, flight, theta, d, slope);
+    phi(s->x, drive, flight, theta, d, slope, constants);
 }
 
 /* Drive: (2 steps + 1, ROWS, flights) at starts, middles and ends; `of`: each lane's flight, 0 for as many flights
@@ -38,7 +38,10 @@ INLINE void slope_of(const double *xi, Stage *s, const V *drive, const V *flight
 void roll_out(const double *xi, const V *x0, const double *drive, long flights, const long *of, const V *flight,
               const V *theta, const V *push, long steps, double h, long every, int keep, Stage *stages, long rows,
               long stride, V *samples) {
-    V x[SIZE], slope[SIZE], total[SIZE], gathered[ROWS];
+    V x[SIZE], slope[SIZE], total[SIZE], gathered[ROWS], constants[PHI_CONSTANTS];
+    phi_constants(flight, theta, constants);
+    int same = of != 0;
+    for (int l = 1; l < LANES && same; ++l) same = of[l] == of[0];
     memcpy(x, x0, sizeof x);
     for (long i = 0; i < rows; ++i) samples[i * stride] = x[i];
     for (long k = 0; k < steps; ++k) {
@@ -48,9 +51,11 @@ void roll_out(const double *xi, const V *x0, const double *drive, long flights, 
             const double *row = drive + half * ROWS * flights;
             if (of && (q == 1 || q == 3 || half == 0))
                 for (int i = 0; i < ROWS; ++i, row += flights)
-                    for (int l = 0; l < LANES; ++l) gathered[i][l] = row[of[l]];
+                    if (same) gathered[i] = splat(row[of[0]]);
+                    else for (int l = 0; l < LANES; ++l) gathered[i][l] = row[of[l]];
             rk4_at(SIZE, q, splat(h), x, slope, s->x);
-            slope_of(xi, s, of ? gathered : (const V *)row, flight, theta, push ? push + half * GIVEN : 0, slope);
+            slope_of(xi, s, of ? gathered : (const V *)row, flight, theta, push ? push + half * GIVEN : 0, constants,
+                     slope);
             for (int i = 0; i < SIZE; ++i) total[i] = (q ? total[i] : splat(0.0)) + WEIGHT[q] * slope[i];
         }
         for (int i = 0; i < SIZE; ++i) x[i] += h * total[i];

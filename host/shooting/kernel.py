@@ -23,12 +23,12 @@ import numpy as np
 from trimtab.host.codegen import simd
 from trimtab.host.codegen.compiler import Compiler
 from trimtab.host.codegen.interrupts import held_interrupts
+from trimtab.host.codegen.lanes import lane_source
 from trimtab.host.codegen.simd import (
     LAYERS,
     RK4,
     aligned,
     lane_count,
-    lane_source,
     lanes_of,
     simd_library,
 )

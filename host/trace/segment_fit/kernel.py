@@ -11,9 +11,12 @@ import casadi
 import numpy as np
 
 from trimtab.host.codegen.compiler import Compiler
-from trimtab.host.codegen.simd import aligned, lane_count, lane_source, pointer, simd_library
+from trimtab.host.codegen.lanes import lane_source
+from trimtab.host.codegen.simd import aligned, lane_count, pointer, simd_library
 
 _SOURCE = Path(__file__).parent / "segments.c"
+_CONSTANT = ("z", "nuisances")
+"""Inputs that stay constant over a segment."""
 
 
 class SegmentKernel:
@@ -30,7 +33,10 @@ class SegmentKernel:
             "MEMORY": step.size1_in("memory"),
         }
         self._memory = sizes["MEMORY"]
-        emitted = [lane_source(function, name) for name, function in programs.items()]
+        emitted = [
+            lane_source(function, name, [each for each in function.name_in() if each in _CONSTANT])
+            for name, function in programs.items()
+        ]
         defines = [f"#define {name} {value}" for name, value in sizes.items()]
         source = "\n".join([*emitted, *defines, _SOURCE.read_text(encoding="utf-8")])
         self._library = simd_library(source, compiler)

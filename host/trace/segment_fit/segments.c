@@ -1,5 +1,5 @@
 /* Roll-outs of segments over lanes. A lane is one roll-out of one segment; a group is LANES lanes of one segment.
-   Behind simd.h and the functions step, rotors and memory of the segment model, the sizes PARAMETERS, NUISANCES,
+   Behind simd.h and the functions step, rotors and memory of the segment model with their constants, the sizes PARAMETERS, NUISANCES,
    MEMORY and SERIES. Arrays of a group are (rows, groups) vectors. */
 
 #define STATES 12
@@ -36,18 +36,21 @@ void roll_out(long segments, long groups, long before, long steps, long per_bin,
         for (long g = 0; g < groups; ++g) {
             V body[STATES], thrust[4] = {}, z[ROOM(PARAMETERS)], own[ROOM(MEMORY)], nuisance[NUISANCES], sent[4];
             V body_after[STATES], thrust_after[4], own_after[ROOM(MEMORY)], out[CHANNELS], input[SERIES];
+            V of_step[STEP_CONSTANTS], of_rotors[ROTORS_CONSTANTS];
             load(STATES, groups, x0 + s * STATES * groups + g, body);
             load(PARAMETERS, groups, theta + g, z);
             load(MEMORY, groups, states + s * MEMORY * groups + g, own);
             load(NUISANCES, groups, nuisances + s * NUISANCES * groups + g, nuisance);
+            step_constants(z, nuisance, of_step);
+            rotors_constants(z, of_rotors);
             for (long k = 0; k < before; ++k) {
                 delayed(command, before + steps, k, whole + g * LANES, share[g], sent);
                 V settled[4];
                 if (k == 0) {
-                    rotors(thrust, z, sent, thrust_after, settled);
+                    rotors(thrust, z, sent, thrust_after, settled, of_rotors);
                     memcpy(thrust, settled, sizeof thrust);
                 }
-                rotors(thrust, z, sent, thrust_after, settled);
+                rotors(thrust, z, sent, thrust_after, settled, of_rotors);
                 memcpy(thrust, thrust_after, sizeof thrust);
             }
             for (long k = 0; k < steps; ++k) {
@@ -56,7 +59,7 @@ void roll_out(long segments, long groups, long before, long steps, long per_bin,
                 if (added)
                     for (int i = 0; i < 6; ++i) input[DISTURBANCE + i] += added[(k / per_bin * 6 + i) * groups + g];
                 step(body, thrust, z, own, nuisance, input + DISTURBANCE, sent, input + ATTITUDE, input + RATE,
-                     input + VOLTAGE, input + TIME, input + SHIFT, body_after, thrust_after, own_after, out);
+                     input + VOLTAGE, input + TIME, input + SHIFT, body_after, thrust_after, own_after, out, of_step);
                 for (int i = 0; i < CHANNELS; ++i)
                     predicted[((s * steps + k) * CHANNELS + i) * groups + g] = out[i];
                 memcpy(body, body_after, sizeof body);
@@ -73,20 +76,21 @@ void along_paths(long flights, long groups, long samples, double dt, const V *th
     for (long f = 0; f < flights; ++f, path += STATES * samples) {
         for (long g = 0; g < groups; ++g) {
             V body[STATES], z[ROOM(PARAMETERS)], own[ROOM(MEMORY)] = {}, half[ROOM(MEMORY)], rates[ROOM(MEMORY)];
-            V acceleration[3] = {}, rest[ROOM(MEMORY)];
+            V acceleration[3] = {}, rest[ROOM(MEMORY)], of_memory[MEMORY_CONSTANTS];
             load(PARAMETERS, groups, theta + g, z);
+            memory_constants(z, of_memory);
             for (int i = 0; i < STATES; ++i) body[i] = splat(path[i]);
-            memory(body, z, own, acceleration, rates, rest);
+            memory(body, z, own, acceleration, rates, rest, of_memory);
             memcpy(own, rest, sizeof own);
             for (long k = 0; k < samples; ++k) {
                 const double *now = path + STATES * k, *next = k + 1 < samples ? now + STATES : now;
                 for (int i = 0; i < MEMORY; ++i) states[((f * samples + k) * MEMORY + i) * groups + g] = own[i];
                 for (int i = 0; i < 3; ++i) acceleration[i] = splat((next[3 + i] - now[3 + i]) / dt);
                 for (int i = 0; i < STATES; ++i) body[i] = splat(now[i]);
-                memory(body, z, own, acceleration, rates, rest);
+                memory(body, z, own, acceleration, rates, rest, of_memory);
                 for (int i = 0; i < MEMORY; ++i) half[i] = own[i] + 0.5 * dt * rates[i];
                 for (int i = 0; i < STATES; ++i) body[i] = splat(0.5 * (now[i] + next[i]));
-                memory(body, z, half, acceleration, rates, rest);
+                memory(body, z, half, acceleration, rates, rest, of_memory);
                 for (int i = 0; i < MEMORY; ++i) own[i] += dt * rates[i];
             }
         }

@@ -8,7 +8,8 @@ import pytest
 
 from trimtab.host.codegen.batch import Batch
 from trimtab.host.codegen.compiler import find_compiler
-from trimtab.host.codegen.simd import aligned, lane_count, lane_source, lanes_of, pointer, simd_library
+from trimtab.host.codegen.lanes import lane_source
+from trimtab.host.codegen.simd import aligned, lane_count, lanes_of, pointer, simd_library
 
 
 def every_operation() -> casadi.Function:
