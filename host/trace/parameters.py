@@ -129,6 +129,15 @@ class ParameterSpace:
             for name in self.groups
         }
 
+    def of_predicted_flights(self) -> ParameterSpace:
+        """Return the space without the effects of which predictions of whole flights show nothing.
+
+        Their columns stay, within tolerance and without slopes.
+        """
+        shown = {name: effect for name, effect in self.effects.items() if not effect.noise_dependent}
+        candidates = tuple(name for name in self.candidates if not self.effect(name).noise_dependent)
+        return replace(self, effects=shown, candidates=candidates)
+
     def active(self, theta_scaled: Annotated[np.ndarray, "parameters"]) -> Annotated[np.ndarray, "active"]:
         """Return the indices of all columns except forms of effects that are within their tolerance."""
         large = {

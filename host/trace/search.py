@@ -9,7 +9,7 @@ command-driven segments (`host.trace.segment_fit.fit`) or to whole flights in cl
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import combinations
 from typing import Annotated, Generic, Protocol, TypeVar
 
@@ -105,13 +105,37 @@ def null_probability_of(weights: Mapping[Names, float]) -> float:
     return weights.get((), 0.0) / sum(weights.values())
 
 
+@dataclass
+class _Tried(Generic[F]):
+    """The sets that a search has fitted, each with the best of its fits.
+
+    starts: by set, the start of its latest fit.
+    """
+
+    fitter: Fitter[F]
+    on_progress: OnProgress
+    fits: dict[Names, F]
+    starts: dict[Names, F] = field(default_factory=dict)
+
+    def fit(self, names: Names, start: F) -> None:
+        """Fit a set, unless its latest fit had the same start."""
+        if self.starts.get(names) is start:
+            return
+        self.starts[names] = start
+        fit = self.fitter.fit(names, start)
+        self.on_progress(f"{', '.join(names) or 'no effect'} fitted")
+        if names not in self.fits or fit.log_evidence > self.fits[names].log_evidence:
+            self.fits[names] = fit
+
+
 def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: None) -> SearchResult[F]:
     """Search for the missing effects and select the smallest set that the evidence does not reject.
 
     null_fit: fit without effects, from which the search starts.
     """
     space = fitter.space
-    fits: dict[Names, F] = {(): null_fit}
+    tried = _Tried(fitter, on_progress, {(): null_fit})
+    fits = tried.fits
     current = null_fit
     for _ in range(2 * RULES.max_effects):
         trials: list[Names] = []
@@ -121,26 +145,21 @@ def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: N
         trials += fitter.underrated_extensions(current)
         for names in dict.fromkeys(trials):
             if names not in fits:
-                fits[names] = fitter.fit(names, current)
-                on_progress(f"{', '.join(names) or 'no effect'} fitted")
+                tried.fit(names, current)
         best = max(fits.values(), key=lambda fit: (fit.log_evidence, fit.effects))
         if best.effects == current.effects:
             break
         current = best
     selected, scores = _select(fitter, fits)
     for names in _underrated_sets(fitter, selected, scores):
-        fit = fitter.fit(names, selected)
-        on_progress(f"{', '.join(names) or 'no effect'} fitted")
-        if names not in fits or fit.log_evidence > fits[names].log_evidence:
-            fits[names] = fit
+        tried.fit(names, selected)
     selected, scores = _select(fitter, fits)
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
         promising = most_probable(scores)
         if promising in fits or scores[selected.effects] > scores[promising] - RULES.tie_nats:
             break
-        fits[promising] = fitter.fit(promising, selected)
-        on_progress(f"{', '.join(promising)} fitted")
+        tried.fit(promising, selected)
         selected, scores = _select(fitter, fits)
     # Drop all sets that contain an effect which occurs in no supported fit.
     supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
@@ -244,7 +263,9 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
     order = sorted(scores, key=lambda names: (-scores[names], names))
     now, size = set(current), len(current)
     more = [n for n in order if len(n) > size and now <= set(n)][:1]
+    least = scores[order[0]] - RULES.swap_share * (scores[order[0]] - scores[()])
     swapped = [n for n in order if len(n) == size and len(set(n) & now) == size - 1][:1] if now else []
+    swapped = [n for n in swapped if scores[n] >= least]
     min_score = scores[order[0]] - RULES.worth_fitting_nats
     fewer = [n for n in order if len(n) == size - 1 and set(n) <= now and scores[n] > min_score]
     return [*order[:1], *more, *swapped, *fewer]

@@ -203,8 +203,9 @@ def _from_flights(
 
     Then fit the nuisances and the disturbance of the segments at the parameters of that set.
     """
-    space = segment_model.space
-    loop = closed_loop(flights, segment_model.vehicle, space, null_fit.theta_scaled, jobs=segment_model.jobs)
+    whole = segment_model.space
+    loop = closed_loop(flights, segment_model.vehicle, whole, null_fit.theta_scaled, jobs=segment_model.jobs)
+    space = loop.space
     autoregression_order = order_of(loop)
     fitter = FlightFitter(loop=loop, order=autoregression_order)
     neutral = theta_without_effects(space, null_fit)

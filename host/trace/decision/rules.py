@@ -49,6 +49,12 @@ class Rules:
         "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
         "best. A start value of an effect is used only if it gains more than this.",
     )
+    hopeless_nats: float = _rule(
+        30.0,
+        "nats",
+        "A fit to whole flights keeps slopes of absent effects from nearby if it ends farther than this "
+        "below its start.",
+    )
     noise_dependent_spikes: float = _rule(
         2.5,
         "spikes",
@@ -60,6 +66,12 @@ class Rules:
         "1",
         "Share of the nats that a set gains that the form of an effect may decide. An alias of a selected "
         "effect is fitted if the screening, which lacks its form, puts it no farther than this below.",
+    )
+    swap_share: float = _rule(
+        0.5,
+        "1",
+        "The best set with another effect in place of one is not fitted if the screening puts it farther "
+        "below the best set than this share of what the best set gains.",
     )
     present_spikes: float = _rule(
         1.0,

@@ -37,6 +37,9 @@ from trimtab.host.trace.search import Names, Score
 LOOP_SETTLED = 0.3
 """A fit ends at a step smaller than this many standard deviations."""
 
+_WHITENING_SETTLED = 0.03
+"""Change of a step, in standard deviations, below which its whitening is not fitted again."""
+
 _ITERATIONS = 8
 _GIVEN_WHITENING_ITERATIONS = 6
 """Greatest number of iterations of `fit_with_whitening`."""
@@ -44,8 +47,11 @@ _GIVEN_WHITENING_ITERATIONS = 6
 _REFIT_SETTLED = 0.1
 """Step, in standard deviations, below which `fit_with_whitening` ends."""
 
-_LINE = (1.0, 0.5, 0.25, 0.1)
-"""Step lengths of the line search, as shares of the Gauss-Newton step."""
+_LINE = (0.5, 0.25, 0.1)
+"""Step lengths of the line search, as shares of the Gauss-Newton step, if the whole step gains too little."""
+
+_ENOUGH = 0.5
+"""Share of the promised decrease of the cost with which a whole step is taken."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -92,24 +98,39 @@ def whitened_grams(
     """
 
     def gram(index: int) -> np.ndarray:
-        columns = np.concatenate([base[index][None], slopes[index]])
-        columns = whitened(white, columns, loop.recordings[index].known)
-        return columns @ columns.T
+        known = loop.recordings[index].known
+        columns = [whitened(white, part, known) for part in (base[index][None], slopes[index])]
+        both = np.concatenate(columns, dtype=float)
+        return both @ both.T
 
     return np.stack(loop.each(gram))
 
 
 def fit_closed_loop(
-    loop: ClosedLoop, effects: Sequence[str], theta_scaled: Annotated[np.ndarray, "parameters"], order: int
+    loop: ClosedLoop,
+    effects: Sequence[str],
+    theta_scaled: Annotated[np.ndarray, "parameters"],
+    order: int,
+    *,
+    hopeless: float = -np.inf,
 ) -> FlightFit:
     """Fit the set `effects` to whole flights by Gauss-Newton with a line search.
 
-    theta_scaled: start of the fit. order: order of the autoregression, which is fitted again to the residual
-    of every linear step.
+    Parameters
+    ----------
+    loop
+        Closed-loop model with the recordings of the flights.
+    effects
+        Effects that are free within the slab; all others stay within the spike of the prior.
+    theta_scaled
+        Start of the fit.
+    order
+        Order of the autoregression, which is fitted again to the residual of every linear step.
+    hopeless
+        Log evidence below which the slopes of all effects are not computed again at the end.
     """
     space = loop.space
-    prior = prior_of(space)
-    precision = prior.precision(effects)
+    precision = prior_of(space).precision(effects)
     theta_scaled = space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
     iteration, afresh = 0, False
@@ -118,31 +139,52 @@ def fit_closed_loop(
         take_step = partial(_linear_step, loop, base, slopes, order, theta_scaled, precision)
         step, covariance, white, grams = take_step(np.zeros(len(theta_scaled)))
         for _ in range(2):
-            step, covariance, white, grams = take_step(step)
-        small = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < LOOP_SETTLED
+            before = step
+            step, covariance, white, grams = take_step(before)
+            if _deviations(step - before, covariance) < _WHITENING_SETTLED:
+                break
+        small = _deviations(step, covariance) < LOOP_SETTLED
         known = afresh or not effects or loop.knows_slopes(theta_scaled)
+        if small and not known:
+            known = _log_evidence(loop, white, grams, theta_scaled, effects, order) < hopeless
         if (small and known) or iteration == _ITERATIONS - 1:
             break
-        moved, residuals = _line_search(loop, white, precision, theta_scaled, step, base)
+        moved, residuals = _line_search(loop, white, precision, theta_scaled, step, base, grams.sum(0))
         stopped = np.array_equal(moved, theta_scaled)
         if stopped and known:
             break
         theta_scaled, base, afresh = moved, residuals, small or stopped
         iteration += 1
-    count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / RULES.temper
     return FlightFit(
         effects=tuple(sorted(effects)),
         theta_scaled=space.clipped(theta_scaled + step),
         at=theta_scaled,
         covariance=covariance,
-        log_evidence=evidence.log_evidences(
-            grams.sum(0), log_det, theta_scaled, prior, [effects], space.bounds
-        )[0],
+        log_evidence=_log_evidence(loop, white, grams, theta_scaled, effects, order),
         whitening=white,
         grams=grams,
         error_m=_position_rms(loop, base),
     )
+
+
+def _log_evidence(
+    loop: ClosedLoop,
+    white: Whitening,
+    grams: np.ndarray,
+    theta_scaled: np.ndarray,
+    effects: Sequence[str],
+    order: int,
+) -> float:
+    """Return the log evidence of the set `effects` in the linearisation at theta_scaled."""
+    count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / RULES.temper
+    prior, limits = prior_of(loop.space), loop.space.bounds
+    return evidence.log_evidences(grams.sum(0), log_det, theta_scaled, prior, [effects], limits)[0]
+
+
+def _deviations(step: np.ndarray, covariance: np.ndarray) -> float:
+    """Return the greatest component of a step in standard deviations."""
+    return float((np.abs(step) / np.sqrt(np.diag(covariance))).max())
 
 
 def _linear_step(
@@ -199,26 +241,39 @@ def _line_search(
     theta_scaled: np.ndarray,
     step: np.ndarray,
     base: Sequence[np.ndarray],
+    gram: np.ndarray,
 ) -> tuple[np.ndarray, list[np.ndarray]]:
     """Return the best point along `step` by the cost of full roll-outs, and the residuals there.
 
-    The candidates are theta_scaled itself and theta_scaled plus the shares _LINE of `step`. base:
-    residual (bins, 12) of each flight at theta_scaled.
+    The first candidate is the whole step. If it gains less than _ENOUGH of what the linearisation promises,
+    the candidates are theta_scaled itself, and theta_scaled plus the shares _LINE of `step`. base:
+    residual (bins, 12) of each flight at theta_scaled. gram: of the whitened [residual | slopes].
     """
-    points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in _LINE])
 
-    def along(index: int, r: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Return the residuals of a flight at the candidates, and their squares once whitened."""
-        r = np.concatenate([base[index][None], r])
-        return r, (whitened(white, r, loop.recordings[index].known) ** 2).sum(1)
+    def costs(points: np.ndarray, whole: Sequence[np.ndarray]) -> np.ndarray:
+        squares = [
+            (whitened(white, r, known) ** 2).sum(1) for r, known in zip(whole, loop.known, strict=True)
+        ]
+        cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
+        return cost if loop.speeds is None else cost + loop.speeds.squares(points)
 
-    rolled, squares = zip(*loop.with_residuals(points, along), strict=True)
-    points = np.column_stack([theta_scaled, points])
-    cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
-    if loop.speeds is not None:
-        cost += loop.speeds.squares(points)
+    def along(shares: Sequence[float]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+        """Return the points at these shares of the step, the residuals there, and the costs."""
+        points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in shares])
+        residuals = loop.residuals(points)
+        return points, residuals, costs(points, residuals)
+
+    points, residuals, cost = along((1.0,))
+    cost = np.concatenate([costs(theta_scaled[:, None], [r[None] for r in base]), cost])
+    promised = step @ gram[1:, 1:] @ step + precision @ step**2
+    if not cost[0] - cost[1] > _ENOUGH * promised:
+        more, more_residuals, more_cost = along(_LINE)
+        points, cost = np.column_stack([points, more]), np.concatenate([cost, more_cost])
+        residuals = [np.concatenate(pair) for pair in zip(residuals, more_residuals, strict=True)]
     best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
-    return points[:, best], [r[best].copy() for r in rolled]
+    if best == 0:
+        return theta_scaled, list(base)
+    return points[:, best - 1], [r[best - 1].copy() for r in residuals]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -254,7 +309,8 @@ class FlightFitter:
                 columns = list(self.space.groups[name])
                 if gain > RULES.worth_fitting_nats:
                     theta_scaled[columns] = theta_start[columns]
-        fit = fit_closed_loop(self.loop, effects, theta_scaled, self.order)
+        hopeless = start.log_evidence - RULES.hopeless_nats
+        fit = fit_closed_loop(self.loop, effects, theta_scaled, self.order, hopeless=hopeless)
         # The autoregression predicts a large smooth error well: log evidence alone would not reject it.
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
@@ -273,8 +329,8 @@ class FlightFitter:
 
         The linearisation of `fit` underrates such an effect, since its slope at neutral shows little.
         """
-        absent = set(self.space.candidates) - set(fit.effects)
-        with_starts = [name for name in sorted(absent) if self.space.effect(name).starts]
+        absent = sorted(set(self.space.candidates) - set(fit.effects))
+        with_starts = [name for name in absent if self.space.effect(name).starts]
         promising = [
             name for name in with_starts if self._start_gain(name, fit)[0] > RULES.worth_fitting_nats
         ]
@@ -358,7 +414,8 @@ def fit_with_whitening(
     turn = 0
     while True:
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
-        slopes = loop.slopes(theta_scaled, effects, base, afresh=turn < 2)
+        afresh = turn == 1 or (turn == 0 and not loop.knows_slopes(theta_scaled))
+        slopes = loop.slopes(theta_scaled, effects, base, afresh=afresh)
         grams = whitened_grams(white, loop, base, slopes) / RULES.temper + _of_rotors(loop, theta_scaled)
         grams = flight_weight * grams
         deviation = theta_scaled - centre
@@ -366,6 +423,6 @@ def fit_with_whitening(
         step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)
         theta_scaled = loop.space.clipped(theta_scaled + step)
         turn += 1
-        settled = (np.abs(step) / np.sqrt(np.diag(covariance))).max() < _REFIT_SETTLED
+        settled = _deviations(step, covariance) < _REFIT_SETTLED
         if settled or turn == _GIVEN_WHITENING_ITERATIONS:
             return theta_scaled, covariance, grams

@@ -113,7 +113,7 @@ class Slopes:
     def __getitem__(self, index: int) -> Annotated[np.ndarray, "parameters bins 12"]:
         latest = self.latest[index]
         if self.earlier is None:
-            slopes = np.zeros((self.parameters, *latest.shape[1:]))
+            slopes = np.zeros((self.parameters, *latest.shape[1:]), dtype=np.float32)
         else:
             slopes = self.earlier[index]
         slopes[self.rows] = latest
@@ -137,7 +137,6 @@ class ClosedLoop:
     ) -> None:
         self.recordings, self.space, self.speeds, self.jobs = tuple(recordings), space, speeds, jobs
         self._rows = [i for name in space.parts for i in space.owners[name]]
-        self._products = {i for name in space.parts if space.effects[name].memory for i in space.owners[name]}
         self._strengths = [i for i in self._rows if space.columns[i].strength and not space.columns[i].form]
         self._slopes: Slopes | None = None
         self._slopes_at = np.zeros(len(space.columns))
@@ -229,9 +228,8 @@ class ClosedLoop:
         They are the negative derivatives of the residual, measured minus predicted.
 
         The first call computes the slopes of all parameters and caches them. Later calls update only the
-        slopes of `effects` and of effects with states of their own. The slopes of the other effects hardly
-        change while these stay within their tolerance: the length of a payload's line, for example, has no
-        influence without a payload.
+        slopes of `effects`. The slopes of the other effects hardly change while these stay within their
+        tolerance: the length of a payload's line, for example, has no influence without a payload.
 
         Parameters
         ----------
@@ -245,7 +243,7 @@ class ClosedLoop:
             Whether to compute all slopes again.
         """
         space = self.space
-        updated = {i for name in effects for i in (*space.groups[name], *space.forms[name])} | self._products
+        updated = {i for name in effects for i in (*space.groups[name], *space.forms[name])}
         whole = afresh or self._slopes is None or self._change(theta_scaled) > _FAR
         active = set(space.active(theta_scaled).tolist())
         rows = [i for i in self._rows if i in active and (whole or i in updated)]
@@ -355,15 +353,18 @@ def closed_loop(
 ) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Raises
-    TooLittleData if a log lacks a required topic.
+    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Without
+    measured rotor speeds, the space of the model is `space.of_predicted_flights()`. Raises TooLittleData if a
+    log lacks a required topic.
     """
     values = space.by_owner(list(space.values(theta_scaled)))
     latency_s = float(latency_of(NUMPY, [(space.effects[name], values[name]) for name in space.parts]))
     states = states_of(flights, latency_s)
     recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
     speeds = RotorSpeeds(flights, vehicle, space)
-    return ClosedLoop(recordings, vehicle, space, speeds=speeds if speeds.present else None, jobs=jobs)
+    if not speeds.present:
+        return ClosedLoop(recordings, vehicle, space.of_predicted_flights(), jobs=jobs)
+    return ClosedLoop(recordings, vehicle, space, speeds=speeds, jobs=jobs)
 
 
 def tracking_time_and_extent(flights: Sequence[FlightData]) -> tuple[float, float]:

@@ -11,6 +11,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated
 
 import numpy as np
@@ -40,6 +41,11 @@ class Whitening:
 
     coefficients: Annotated[np.ndarray, "past 12"]
     innovation: Annotated[np.ndarray, "12 12"]
+
+    @cached_property
+    def root(self) -> Annotated[np.ndarray, "12 12"]:
+        """The matrix that e is multiplied by from the right for unit covariance."""
+        return np.linalg.inv(np.linalg.cholesky(self.innovation)).T
 
     @property
     def order(self) -> int:
@@ -129,16 +135,15 @@ def usable_bins(known: Annotated[np.ndarray, "bins"], span: int) -> Annotated[np
 def whitened(
     white: Whitening, columns: Annotated[np.ndarray, "columns bins 12"], known: Annotated[np.ndarray, "bins"]
 ) -> Annotated[np.ndarray, "columns innovations"]:
-    """Return columns of one flight as innovations of unit covariance.
+    """Return columns of one flight as innovations of unit covariance, in the precision of the columns.
 
     known: mask. There are 12 innovations for each bin that `usable_bins` returns.
     """
     usable = usable_bins(known, white.span)
-    whiten = np.linalg.inv(np.linalg.cholesky(white.innovation)).T
-    out = columns @ whiten
+    out = columns @ white.root.astype(columns.dtype)
     for i, (first, last) in enumerate(WINDOWS[: white.order]):
         window = white.coefficients[i * CHANNELS : (i + 1) * CHANNELS] / (last - first + 1)
-        predicted = columns @ (window @ whiten)
+        predicted = columns @ (window @ white.root).astype(columns.dtype)
         for lag in range(first, last + 1):
             out[:, lag:] -= predicted[:, :-lag]
     return out[:, usable].reshape(len(columns), -1)

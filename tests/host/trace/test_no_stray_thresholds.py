@@ -41,10 +41,12 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     },
     "flight_fit/fit.py": {
         "LOOP_SETTLED": "step at which the Gauss-Newton iteration ends",
+        "_WHITENING_SETTLED": "step at which the whitening of a linear step is not fitted again",
         "_ITERATIONS": "number of Gauss-Newton iterations",
         "_GIVEN_WHITENING_ITERATIONS": "number of linearisations of a fit with a given whitening",
         "_REFIT_SETTLED": "step at which that fit ends",
         "_LINE": "step lengths of the line search",
+        "_ENOUGH": "decrease of the cost with which the line search takes the whole step",
     },
     "flight_fit/loop.py": {
         "_TOGETHER": "number of flights that are rolled out in one call",

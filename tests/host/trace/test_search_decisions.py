@@ -136,13 +136,13 @@ WORTH = RULES.worth_fitting_nats
             {(): 5.0, ("a",): 1.0, ("a", "b"): 2.0}, (), [(), ("a", "b")], id="more-may-be-two-at-once"
         ),
         pytest.param(
-            {("a",): 9.0, ("b",): 5.0, ("c",): 6.0, ("b", "c"): 8.0, ("a", "b"): 7.0},
+            {(): -9.0, ("a",): 9.0, ("b",): 5.0, ("c",): 6.0, ("b", "c"): 8.0, ("a", "b"): 7.0},
             ("a",),
             [("a",), ("a", "b"), ("c",)],
             id="best-more-and-swapped",
         ),
         pytest.param(
-            {("a", "b"): 20.0, ("a",): 20.0 - WORTH * BELOW, ("b",): 20.0 - WORTH * ABOVE},
+            {(): 0.0, ("a", "b"): 20.0, ("a",): 20.0 - WORTH * BELOW, ("b",): 20.0 - WORTH * ABOVE},
             ("a", "b"),
             [("a", "b"), ("a",)],
             id="one-fewer-if-not-too-far-behind",
@@ -154,12 +154,24 @@ WORTH = RULES.worth_fitting_nats
             id="every-one-fewer-not-two-nor-another",
         ),
         pytest.param(
-            {("a", "b"): 20.0, ("c", "d"): 30.0, ("a", "c"): 10.0},
+            {(): 0.0, ("a", "b"): 20.0, ("c", "d"): 30.0, ("a", "c"): 16.0},
             ("a", "b"),
             [("c", "d"), ("a", "c")],
             id="one-swapped-not-both",
         ),
-        pytest.param({("b",): 1.0, ("a",): 1.0}, (), [("a",), ("a",)], id="equal-by-name"),
+        pytest.param(
+            {(): 7.0, ("a",): 107.0, ("b",): 107.0 - 100.0 * RULES.swap_share * BELOW},
+            ("a",),
+            [("a",), ("b",)],
+            id="swapped-if-not-too-far-behind",
+        ),
+        pytest.param(
+            {(): 7.0, ("a",): 107.0, ("b",): 107.0 - 100.0 * RULES.swap_share * ABOVE},
+            ("a",),
+            [("a",)],
+            id="not-swapped-farther-behind",
+        ),
+        pytest.param({(): 0.0, ("b",): 1.0, ("a",): 1.0}, (), [("a",), ("a",)], id="equal-by-name"),
     ],
 )
 def test_proposals_are_the_best_set_and_the_best_neighbours(
@@ -304,16 +316,19 @@ FORMED = build_space(
 class KnownEvidence(PriorOnly):
     """Fitter to which the log evidence of each set is known, in fits and in the linearisation.
 
-    fitted, screened: nats of sets; others are far worse. calls: the sets that were fitted.
+    fitted, screened: nats of sets; others are far worse. calls: the sets that were fitted. starts: the same
+    sets with the start of each.
     """
 
     fitted: Mapping[Names, float] = field(default_factory=dict)
     screened: Mapping[Names, float] = field(default_factory=dict)
     calls: list[Names] = field(default_factory=list)
+    starts: list[tuple[Names, int]] = field(default_factory=list)
 
     def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
         names = tuple(sorted(effects))
         self.calls.append(names)
+        self.starts.append((names, id(start)))
         theta_scaled = np.zeros(len(self.space.columns))
         theta_scaled[[i for name in names for i in self.space.groups[name]]] = 1.0
         nats = self.fitted.get(names, -1e3)
@@ -416,6 +431,15 @@ def test_search_fits_the_selected_set_without_each_effect_again(best: float, exp
     fitted = {(): 0.0, ("wind",): best, ("lag", "wind"): 100.0}
     fitter = AnotherMinimum(FORMED, (0.1,) * len(FORMED.columns), fitted, fitted)
     assert searched(fitter).selected.effects == expected
+
+
+def test_search_fits_no_set_twice_from_the_same_start() -> None:
+    """The best set and its subset are tried at first, and again at the end."""
+    fitted = {(): 0.0, ("wind",): 90.0, ("lag",): 40.0, ("lag", "wind"): 100.0}
+    fitter = known(fitted, fitted)
+    assert searched(fitter).selected.effects == ("lag", "wind")
+    assert len(fitter.starts) > len(fitted) - 1
+    assert len(set(fitter.starts)) == len(fitter.starts)
 
 
 def test_search_finds_an_effect_that_the_screening_underrates_for_lack_of_its_form() -> None:

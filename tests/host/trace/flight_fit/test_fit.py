@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -148,7 +149,7 @@ def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: Closed
     assert not whole.slopes(nowhere, (), base[0])[0][line].any()
     wanted = afresh.slopes(there, (), base[1])[0][line]
     assert np.abs(wanted).max() > 0.0
-    np.testing.assert_allclose(whole.slopes(there, (), base[1])[0][line], wanted)
+    np.testing.assert_allclose(whole.slopes(there, ("slung-payload",), base[1])[0][line], wanted)
 
 
 def test_slopes_of_forms_are_zero_unless_their_effect_is_present(
@@ -180,6 +181,67 @@ def test_slopes_of_a_form_are_computed_once_its_effect_is_added(
     columns = [*library.groups["linear-drag"], *library.forms["linear-drag"]]
     np.testing.assert_array_equal(found[columns], expected[columns])
     assert np.abs(found[columns]).max((1, 2)).min() > 0.0
+
+
+@pytest.mark.parametrize(("overshoot", "share"), [(1.0, 1.0), (2.0, 0.5), (4.0, 0.25)])
+def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
+    library: ParameterSpace, loop: ClosedLoop, overshoot: float, share: float
+) -> None:
+    """The step leads past the drag with which the flights were made."""
+    there, neutral = scaled(library, linear_drag__dx=0.3), scaled(library)
+    made = simulated(loop, there, 2)
+    base = [r[0] for r in made.residuals(neutral[:, None])]
+    noise = [r[0] for r in made.residuals(there[:, None])]
+    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
+    white = whitening.autoregression(regressors)
+    gram = refine.whitened_grams(white, made, base, made.slopes(neutral, (), base)).sum(0) / RULES.temper
+    tried: list[int] = []
+    rolled = made.with_residuals
+
+    def counted(points: np.ndarray, work: Any) -> Any:
+        tried.append(points.shape[1])
+        return rolled(points, work)
+
+    made.with_residuals = counted  # type: ignore[method-assign]
+    step = overshoot * there
+    moved, residuals = refine._line_search(made, white, np.zeros(len(there)), neutral, step, base, gram)
+    np.testing.assert_allclose(moved, share * step)
+    assert tried == ([1] if share == 1.0 else [1, 3])
+    for found, expected in zip(residuals, made.residuals(moved[:, None]), strict=True):
+        np.testing.assert_allclose(found, expected[0], atol=1e-12)
+
+
+def test_a_fit_far_below_its_start_keeps_slopes_from_nearby(
+    library: ParameterSpace, loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    made = simulated(loop, scaled(library, linear_drag__dx=0.3, motor_lag__extra_s=0.01), 4)
+    refreshed: list[bool] = []
+    slopes = ClosedLoop.slopes
+
+    def counted(self: ClosedLoop, *arguments: Any, afresh: bool = False) -> Any:
+        refreshed.append(afresh)
+        return slopes(self, *arguments, afresh=afresh)
+
+    monkeypatch.setattr(ClosedLoop, "slopes", counted)
+    neutral, evidences = np.zeros(len(library.columns)), []
+    for hopeless in (-np.inf, np.inf):
+        refreshed.clear()
+        fresh = ClosedLoop(made.recordings, made.recordings[0].states.vehicle, library)
+        fit = refine.fit_closed_loop(fresh, ("linear-drag",), neutral, 2, hopeless=hopeless)
+        evidences.append(fit.log_evidence)
+        assert any(refreshed) == (hopeless < 0.0)
+    assert evidences[0] == pytest.approx(evidences[1], abs=RULES.hopeless_nats)
+
+
+def test_whole_flights_are_searched_without_effects_of_which_they_show_nothing() -> None:
+    effects = load_effects()
+    flights = [FlightData.of(read_flight(DATA / "a1.mcap"))]
+    vehicle = flights[0].flight.vehicle
+    library = space(vehicle, {name: effects[name] for name in ("dead-zone", "linear-drag")})
+    shown = closed.closed_loop(flights, vehicle, library, np.zeros(len(library.columns))).space
+    assert shown.candidates == ("linear-drag",)
+    assert shown.columns == library.columns
+    assert shown.parts == ("linear-drag",)
 
 
 def test_evidence_prefers_the_true_drag(library: ParameterSpace, loop: ClosedLoop) -> None:
