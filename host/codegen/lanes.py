@@ -8,7 +8,7 @@ times as long. What depends only on inputs that stay constant over many calls is
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import casadi as ca
@@ -199,13 +199,12 @@ def _c_function(
     arguments: Sequence[str],
     values: Sequence[_Value],
     known: Mapping[int, str],
-    results: Iterable[tuple[str, int]],
+    results: Sequence[tuple[str, int]],
 ) -> str:
     """Return the C function that computes results, (C of the result, place of its value).
 
     known: C of values that are not computed here.
     """
-    results = list(results)
     needed = {place for _, place in results} - set(known)
     for place in range(len(values) - 1, -1, -1):
         if place in needed:
