@@ -20,7 +20,7 @@ from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import States
 from trimtab.host.trace.data.signals import FlightData, Signals, states_of
-from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, interpolation, record
+from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, record
 from trimtab.host.trace.flight_fit.rotors import RotorSpeeds
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
@@ -39,6 +39,8 @@ _THETA_STEP = 1e-4
 
 _FAR = 0.5
 """Change of a strength, scaled, beyond which the slopes of all effects are computed again."""
+_KEPT = 2
+"""Points of which the slopes of all effects are kept: that of the latest fit, and that it started from."""
 _NEAR = 0.1
 """Change of the strengths, scaled, up to which slopes count as those of a point."""
 
@@ -138,8 +140,7 @@ class ClosedLoop:
         self.recordings, self.space, self.speeds, self.jobs = tuple(recordings), space, speeds, jobs
         self._rows = [i for name in space.parts for i in space.owners[name]]
         self._strengths = [i for i in self._rows if space.columns[i].strength and not space.columns[i].form]
-        self._slopes: Slopes | None = None
-        self._slopes_at = np.zeros(len(space.columns))
+        self._slopes: list[tuple[np.ndarray, Slopes]] = []  # of all effects, with their point; latest first
         effects = tuple(space.effects[name] for name in space.parts)
         settings: dict[tuple[tuple[str, float], ...], list[int]] = {}
         for index in sorted(range(len(recordings)), key=lambda index: recordings[index].bins):
@@ -227,9 +228,10 @@ class ClosedLoop:
 
         They are the negative derivatives of the residual, measured minus predicted.
 
-        The first call computes the slopes of all parameters and caches them. Later calls update only the
-        slopes of `effects`. The slopes of the other effects hardly change while these stay within their
-        tolerance: the length of a payload's line, for example, has no influence without a payload.
+        The first call computes the slopes of all parameters and caches them. Later calls near that point, or
+        near the one before, update only the slopes of `effects`. The slopes of the other effects hardly
+        change while these stay within their tolerance: the length of a payload's line, for example, has no
+        influence without a payload.
 
         Parameters
         ----------
@@ -244,11 +246,13 @@ class ClosedLoop:
         """
         space = self.space
         updated = {i for name in effects for i in (*space.groups[name], *space.forms[name])}
-        whole = afresh or self._slopes is None or self._change(theta_scaled) > _FAR
+        near = self._nearest(theta_scaled)
+        whole = afresh or near is None or self._change(theta_scaled, near[0]) > _FAR
         active = set(space.active(theta_scaled).tolist())
         rows = [i for i in self._rows if i in active and (whole or i in updated)]
         if whole:
-            self._slopes = None  # before the next ones are made: of many flights they are large
+            near = None
+            del self._slopes[_KEPT - 1 :]  # before the next ones are made: of many flights they are large
         lanes = np.repeat(theta_scaled[:, None], len(rows), axis=1)
         for lane, row in enumerate(rows):
             lanes[row, lane] += _THETA_STEP
@@ -266,19 +270,24 @@ class ClosedLoop:
         sizes[[1 + row for row in rows]] = np.sum(squares, axis=0)
         self.space.check_finite(sizes)
         result = Slopes(
-            parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if whole else self._slopes
+            parameters=len(theta_scaled), rows=rows, latest=slopes, earlier=None if near is None else near[1]
         )
         if whole:
-            self._slopes, self._slopes_at = result, theta_scaled.copy()
+            self._slopes.insert(0, (theta_scaled.copy(), result))
         return result
 
     def knows_slopes(self, theta_scaled: Annotated[np.ndarray, "parameters"]) -> bool:
         """Return whether the slopes of all effects were computed at theta_scaled, or close to it."""
-        return self._slopes is not None and self._change(theta_scaled) <= _NEAR
+        near = self._nearest(theta_scaled)
+        return near is not None and self._change(theta_scaled, near[0]) <= _NEAR
 
-    def _change(self, theta_scaled: np.ndarray) -> float:
-        """Return the greatest change of a strength since the slopes of all effects were computed."""
-        return float(np.abs(theta_scaled - self._slopes_at)[self._strengths].max(initial=0.0))
+    def _nearest(self, theta_scaled: np.ndarray) -> tuple[np.ndarray, Slopes] | None:
+        """Return the nearest point at which the slopes of all effects are known, and these."""
+        return min(self._slopes, key=lambda known: self._change(theta_scaled, known[0]), default=None)
+
+    def _change(self, theta_scaled: np.ndarray, at: np.ndarray) -> float:
+        """Return the greatest change of a strength between two points."""
+        return float(np.abs(theta_scaled - at)[self._strengths].max(initial=0.0))
 
 
 def _flights_together(lanes: int) -> int:
@@ -313,7 +322,7 @@ def _means(recording: Recording, samples: np.ndarray, latency_s: np.ndarray) -> 
     for late in np.unique(latency_s):
         mine = latency_s == late
         poses = samples[:, (0, 1, 2, 6, 7, 8)][:, :, mine].reshape(len(samples), -1)
-        mean = recording.poses @ (interpolation(recording.pose_s - late, len(samples)) @ poses)
+        mean = recording.poses @ (recording.at_poses(float(late), len(samples)) @ poses)
         out[mine, :, :6] = mean.reshape(bins, 6, -1).transpose(2, 0, 1)
     for channels, columns, telemetry in (
         (slice(6, 9), slice(9, 12), recording.rates),

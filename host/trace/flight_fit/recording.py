@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
@@ -20,6 +20,9 @@ PER_BIN = 2
 
 FLIGHT_BIN_S = PER_BIN * SAMPLE_S
 """Length of a bin."""
+
+_KEPT = 2
+"""Latencies of which a recording keeps the matrix."""
 
 LEAD_S = 0.3
 """Time after the start of the reference that is not compared. Errors of the initial state decay in it."""
@@ -55,11 +58,24 @@ class Recording:
     known: Annotated[np.ndarray, "bins"]
     rates: csr_array
     integrals: csr_array
+    _at_poses: dict[tuple[float, int], csr_array] = field(default_factory=dict, init=False, repr=False)
 
     @property
     def bins(self) -> int:
         """Number of bins."""
         return len(self.measured)
+
+    def at_poses(self, latency_s: float, samples: int) -> csr_array:
+        """Return the matrix (poses, samples) of states at the poses, which are late by latency_s.
+
+        The latest matrices are kept: the lanes of a fit have one latency or two.
+        """
+        key = (latency_s, samples)
+        if key not in self._at_poses:
+            if len(self._at_poses) == _KEPT:
+                del self._at_poses[next(iter(self._at_poses))]
+            self._at_poses[key] = interpolation(self.pose_s - latency_s, samples)
+        return self._at_poses[key]
 
 
 def record(data: FlightData, states: States) -> Recording:

@@ -53,11 +53,13 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "STABLE": "stability limit of RK4 along the real axis",
         "_THETA_STEP": "step of the difference quotients",
         "_FAR": "distance after which a linearisation is made again",
+        "_KEPT": "number of linearisations that are kept",
         "_NEAR": "distance up to which a linearisation counts as that of a point",
     },
     "flight_fit/recording.py": {
         "SAMPLE_S": "step of the roll-out",
         "PER_BIN": "steps in a bin",
+        "_KEPT": "number of matrices that are kept",
         "LEAD_S": "time in which the start's own errors die away",
     },
     "flight_fit/repeatability.py": {
