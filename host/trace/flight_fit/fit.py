@@ -251,9 +251,8 @@ def _line_search(
     """
 
     def costs(points: np.ndarray, whole: Sequence[np.ndarray]) -> np.ndarray:
-        squares = [
-            (whitened(white, r, known) ** 2).sum(1) for r, known in zip(whole, loop.known, strict=True)
-        ]
+        known = loop.known
+        squares = loop.each(lambda index: (whitened(white, whole[index], known[index]) ** 2).sum(1))
         cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
         return cost if loop.speeds is None else cost + loop.speeds.squares(points)
 
