@@ -39,11 +39,11 @@ def widening_of_mix(
     The forms of the effects are not exact, so each reference has its own best parameters. This error repeats
     when a reference is flown again, and it falls with the number of references, not with that of flights.
 
-    Two jackknives are combined. The one over the flights of each reference measures chance. The one over
+    Two widenings are combined. The one over the flights of each reference measures chance. The one over
     pairs of repeat flights also measures the differences between references: the usual two flights of a
     reference count as one draw from the mix. A reference that is flown more often is a larger part of the
     mix, so each pair of its flights counts as a draw. Few references say little about others. The excess of
-    the second jackknife therefore counts by n / (n + RULES.jackknife_prior_flights), where n is the number of
+    the second widening therefore counts by n / (n + RULES.widening_prior_flights), where n is the number of
     pairs less one.
 
     The factors are at least RULES.min_widening. Beyond RULES.min_widening_flights flights, its excess over 1
@@ -52,7 +52,7 @@ def widening_of_mix(
     Parameters
     ----------
     grams, theta_scaled, precision
-        See `jackknife_by_flight`.
+        See `widening_by_flight`.
     references
         Indices of the flights of each reference.
     """
@@ -61,24 +61,24 @@ def widening_of_mix(
     pairs = [list(flights[i : i + 2]) for flights in references for i in range(0, len(flights), 2)]
     fewness = min(1.0, RULES.min_widening_flights / len(grams))
     least = 1.0 + (RULES.min_widening**2 - 1.0) * fewness
-    within = np.maximum(jackknife_by_flight(grams, theta_scaled, precision, [*repeated, single]) ** 2, least)
+    within = np.maximum(widening_by_flight(grams, theta_scaled, precision, [*repeated, single]) ** 2, least)
     by_pair = np.stack([grams[pair].sum(0) for pair in pairs])
-    between = jackknife_by_flight(by_pair, theta_scaled, precision) ** 2
-    share = (len(pairs) - 1) / (len(pairs) - 1 + RULES.jackknife_prior_flights)
+    between = widening_by_flight(by_pair, theta_scaled, precision) ** 2
+    share = (len(pairs) - 1) / (len(pairs) - 1 + RULES.widening_prior_flights)
     return np.sqrt(within + share * np.maximum(between - within, 0.0))
 
 
 def inflated_segment_covariance(
     space: ParameterSpace, fit: SegmentFit
 ) -> Annotated[np.ndarray, "parameters parameters"]:
-    """Return the covariance, scaled, of a segment fit, widened by the jackknife and the discrepancy.
+    """Return the covariance, scaled, of a segment fit, widened by disagreement and discrepancy.
 
-    The jackknife is over flights, or over RULES.jackknife_pieces parts of each flight if there are fewer
-    flights than that. `Column.discrepancy` is added in squares.
+    It is widened by the disagreement of flights, or of RULES.widening_pieces parts of each flight if there
+    are fewer flights than that. `Column.discrepancy` is added in squares.
     """
     prior = space.prior
     grams = evidence.marginal_grams(_in_pieces(fit.lin), fit.process, prior).flight_grams
-    widened = jackknife_by_flight(grams, fit.lin.theta_scaled, prior.precision(fit.effects))
+    widened = widening_by_flight(grams, fit.lin.theta_scaled, prior.precision(fit.effects))
     discrepancy = np.array([column.discrepancy for column in space.columns])
     return fit.covariance * np.outer(widened, widened) + np.diag(discrepancy**2)
 
@@ -89,7 +89,7 @@ def _in_pieces(lin: Linearisation) -> Linearisation:
     return replace(lin, piece_flight=pieces, nuisances=lin.nuisances[lin.piece_flight])
 
 
-def jackknife_by_flight(
+def widening_by_flight(
     grams: Annotated[np.ndarray, "flights columns columns"],
     theta_scaled: Annotated[np.ndarray, "parameters"],
     precision: Annotated[np.ndarray, "parameters"],
@@ -98,10 +98,14 @@ def jackknife_by_flight(
     """Return factors, at least 1, that widen standard deviations by the disagreement between flights.
 
     Errors that repeat within a flight but not between flights do not average out as the posterior assumes.
-    Efron's jackknife measures them: the spread of the fits that each leave one flight out, over the spread
-    that the posterior predicts. When a flight is left out, the other flights of its stratum take its weight.
+    They show in the influence of each flight on the estimate: the covariance times the gradient of the log
+    likelihood of that flight. The widening is the spread of the influences over the spread that the posterior
+    predicts for them (Liang and Zeger 1986). The prediction allows for the pull of each flight on the fit
+    (Bell and McCaffrey 2002), so one flight that holds most of the information does not widen by itself.
+
     A few flights determine a spread badly. The spread of each parameter is therefore pooled with
-    RULES.jackknife_prior_flights flights that have the median spread of all parameters.
+    RULES.widening_prior_flights flights that have the median spread of all parameters, and it weighs as its
+    effective degrees of freedom (Satterthwaite 1946).
 
     Parameters
     ----------
@@ -115,27 +119,31 @@ def jackknife_by_flight(
         Groups of indices of flights that are alike; all flights if None. Differences between strata, such as
         other references, do not count.
     """
-    total = grams.sum(0)
     parts = [list(part) for part in (strata or [range(len(grams))]) if len(part) > 1]
-    freedom = sum(len(part) - 1 for part in parts)
-    if not freedom:
+    if not parts:
         return np.ones(len(theta_scaled))
-    _, covariance = evidence.posterior(total, theta_scaled, precision)
-    # The prior is the same for all flights: the expected spread is only the data's share of the variance.
-    data = grams[[i for part in parts for i in part]].sum(0)
-    expected = np.diag(covariance @ data[1:, 1:] @ covariance)
-    spread = np.zeros(len(theta_scaled))
-    for part in parts:
-        stratum, count = grams[part].sum(0), len(part)
-        without = [total - stratum + (stratum - grams[i]) * (count / (count - 1)) for i in part]
-        steps = np.stack([evidence.posterior(gram, theta_scaled, precision)[0] for gram in without])
-        spread += (count - 1) / count * ((steps - steps.mean(0)) ** 2).sum(0)
-    informed = expected > 0.0
+    step, covariance = evidence.posterior(grams.sum(0), theta_scaled, precision)
+    rows = [i for part in parts for i in part]
+    stratum = np.repeat(np.arange(len(parts)), [len(part) for part in parts])
+    centre = np.eye(len(rows)) - (stratum[:, None] == stratum) / np.bincount(stratum)[stratum]
+    hessians, gradients = grams[rows, 1:, 1:], grams[rows, 1:, 0]
+    influences = centre @ ((gradients - hessians @ step) @ covariance)
+    reach = hessians @ covariance
+    spread, expected = np.square(influences).sum(0), np.zeros(len(theta_scaled))
+    freedom = np.zeros(len(theta_scaled))
+    for j in range(len(theta_scaled)):
+        pull = reach[:, :, j]
+        predicted = np.diag(pull @ covariance[j]) - pull @ covariance @ pull.T
+        predicted = centre @ predicted @ centre
+        expected[j] = np.trace(predicted)
+        if expected[j] > 0.0:
+            freedom[j] = expected[j] ** 2 / np.square(predicted).sum()
+    informed = freedom > 0.0
     ratio = np.where(informed, spread / np.where(informed, expected, 1.0), 0.0)
     # Median of chi-square over its degrees of freedom, by Wilson and Hilferty.
-    chi2_median = (1.0 - 2.0 / (9.0 * freedom)) ** 3
-    typical = max(1.0, float(np.median(ratio[informed])) / chi2_median) if informed.any() else 1.0
-    variance = (RULES.jackknife_prior_flights * typical + freedom * ratio) / (
-        RULES.jackknife_prior_flights + freedom
+    chi2_median = (1.0 - 2.0 / (9.0 * np.where(informed, freedom, 1.0))) ** 3
+    typical = max(1.0, float(np.median((ratio / chi2_median)[informed]))) if informed.any() else 1.0
+    variance = (RULES.widening_prior_flights * typical + freedom * ratio) / (
+        RULES.widening_prior_flights + freedom
     )
     return np.sqrt(np.maximum(variance, 1.0))

@@ -208,14 +208,14 @@ class Rules:
         "Flights with which `min_widening` was measured. With more, the excess of its square over 1 falls in "
         "inverse proportion to their number, since more flights determine the whitening better.",
     )
-    jackknife_prior_flights: float = _rule(
+    widening_prior_flights: float = _rule(
         7.0,
         "flights",
-        "The jackknife spread of a parameter is averaged with the median spread of all parameters; the "
+        "The disagreement of flights about a parameter is averaged with the median of all parameters; the "
         "median weighs as much as this many flights.",
     )
-    jackknife_pieces: int = _rule(
-        4, "pieces", "If there are fewer flights than this, the jackknife cuts each into this many pieces."
+    widening_pieces: int = _rule(
+        4, "pieces", "If there are fewer flights than this, each is cut into this many pieces."
     )
 
     # Amount and noise of the data.

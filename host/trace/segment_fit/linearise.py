@@ -444,16 +444,16 @@ def linearise(
 def _pieces(flight: np.ndarray, flights: int) -> tuple[np.ndarray, np.ndarray]:
     """Return the index of the piece of each segment, and of the flight of each piece.
 
-    A flight is one piece, or is cut into RULES.jackknife_pieces if there are fewer flights than that.
+    A flight is one piece, or is cut into RULES.widening_pieces if there are fewer flights than that.
     """
-    if flights >= RULES.jackknife_pieces:
+    if flights >= RULES.widening_pieces:
         return flight, np.arange(flights)
     part = np.empty(len(flight), dtype=int)
     for index in range(flights):
         segments = np.flatnonzero(flight == index)
-        part[segments] = np.arange(len(segments)) * RULES.jackknife_pieces // max(len(segments), 1)
-    ids, piece = np.unique(flight * RULES.jackknife_pieces + part, return_inverse=True)
-    return piece, ids // RULES.jackknife_pieces
+        part[segments] = np.arange(len(segments)) * RULES.widening_pieces // max(len(segments), 1)
+    ids, piece = np.unique(flight * RULES.widening_pieces + part, return_inverse=True)
+    return piece, ids // RULES.widening_pieces
 
 
 def _without_x0(gram: np.ndarray, first: int) -> np.ndarray:

@@ -18,31 +18,65 @@ def drifting(rng: np.random.Generator, shifts: np.ndarray) -> np.ndarray:
     return np.stack(grams)
 
 
-def test_jackknife_widens_only_what_differs_between_flights() -> None:
+def test_only_what_differs_between_flights() -> None:
     rng = np.random.default_rng(3)
     shifts = np.zeros((8, 4))
     shifts[:, 1] = 0.6 * rng.standard_normal(8)
     grams = drifting(rng, shifts)
-    factors = uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
+    factors = uncertainty.widening_by_flight(grams, np.zeros(4), np.full(4, 1e-4))
     assert factors[[0, 2, 3]].max() < 1.6
     assert factors[1] > 4.0
-    alone = uncertainty.jackknife_by_flight(grams[:1], np.zeros(4), np.ones(4))
+    alone = uncertainty.widening_by_flight(grams[:1], np.zeros(4), np.ones(4))
     np.testing.assert_array_equal(alone, np.ones(4))
 
 
-def test_jackknife_ignores_differences_between_strata() -> None:
+def test_differences_between_strata_do_not_widen() -> None:
     rng = np.random.default_rng(4)
     shifts = np.zeros((8, 4))
     shifts[:, 1] = np.repeat(0.6 * rng.standard_normal(4), 2)
     grams, pairs = drifting(rng, shifts), [[0, 1], [2, 3], [4, 5], [6, 7]]
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
+    assert uncertainty.widening_by_flight(grams, np.zeros(4), np.full(4, 1e-4))[1] > 4.0
+    assert uncertainty.widening_by_flight(grams, np.zeros(4), np.full(4, 1e-4), pairs).max() < 1.6
 
 
-def test_jackknife_pools_the_median_spread_into_every_parameter() -> None:
+def test_median_disagreement_is_pooled_into_every_parameter() -> None:
     rng = np.random.default_rng(5)
     grams = drifting(rng, 0.6 * rng.standard_normal((8, 4)))
-    assert uncertainty.jackknife_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0
+    assert uncertainty.widening_by_flight(grams, np.zeros(4), np.full(4, 1e-4)).min() > 3.0
+
+
+def test_flight_that_holds_most_of_the_information_does_not_widen_by_itself() -> None:
+    rng, precision = np.random.default_rng(10), np.full(4, 1e-4)
+    # Only the first flight tells parameters 0 and 1 apart.
+    factors = []
+    for _ in range(200):
+        grams = []
+        for flight in range(4):
+            slopes = rng.standard_normal((400, 4))
+            if flight:
+                slopes[:, 0] *= 0.03
+                slopes[:, 1] = slopes[:, 0] + 0.01 * slopes[:, 1]
+            A = np.column_stack([rng.standard_normal(400), slopes])
+            grams.append(A.T @ A)
+        factors.append(uncertainty.widening_by_flight(np.stack(grams), np.zeros(4), precision))
+    assert np.mean(factors, axis=0).max() < 1.25
+
+
+def test_rule_for_a_single_parameter_is_the_ratio_of_spread_and_prediction() -> None:
+    hessians, gradients = np.array([4.0, 1.0, 2.0]), np.array([3.0, -2.0, 1.0])
+    grams = np.array([[[9.0, g], [g, h]] for g, h in zip(gradients, hessians, strict=True)])
+    variance = 1.0 / (hessians.sum() + 0.5)
+    centred = gradients - hessians * gradients.sum() * variance
+    centred -= centred.mean()
+    centre = np.eye(3) - 1.0 / 3.0
+    predicted = centre @ (np.diag(hessians) - np.outer(hessians, hessians) * variance) @ centre
+    freedom = np.trace(predicted) ** 2 / np.square(predicted).sum()
+    ratio = np.square(centred).sum() / np.trace(predicted)
+    median = max(1.0, ratio / (1.0 - 2.0 / (9.0 * freedom)) ** 3)
+    prior = RULES.widening_prior_flights
+    expected = np.sqrt(max(1.0, (prior * median + freedom * ratio) / (prior + freedom)))
+    factors = uncertainty.widening_by_flight(grams, np.zeros(1), np.full(1, 0.5))
+    np.testing.assert_allclose(factors, [expected])
 
 
 def flights_of_mix(rng: np.random.Generator, references: int, repeats: int) -> np.ndarray:
@@ -62,7 +96,7 @@ def test_intervals_of_many_references_cover_the_value_that_sets_scatter_about() 
         half = 1.96 * np.sqrt(np.diag(covariance))
         estimates.append(estimate)
         half_widths.append(half * uncertainty.widening_of_mix(grams, np.zeros(4), precision, references))
-        strata = uncertainty.jackknife_by_flight(grams, np.zeros(4), precision, references)
+        strata = uncertainty.widening_by_flight(grams, np.zeros(4), precision, references)
         strata_only.append(half * np.maximum(strata, RULES.min_widening))
     distance = np.abs(estimates - np.mean(estimates, axis=0))
     assert 0.90 <= (distance <= half_widths).mean() <= 0.98
@@ -82,7 +116,7 @@ def test_reference_flown_often_widens_as_if_each_pair_of_its_flights_were_anothe
 def test_few_references_widen_little() -> None:
     grams, pairs = flights_of_mix(np.random.default_rng(8), 4, 2), [[0, 1], [2, 3], [4, 5], [6, 7]]
     factors = uncertainty.widening_of_mix(grams, np.zeros(4), np.full(4, 1e-4), pairs)
-    between = uncertainty.jackknife_by_flight(grams.reshape(4, 2, 5, 5).sum(1), np.zeros(4), np.full(4, 1e-4))
+    between = uncertainty.widening_by_flight(grams.reshape(4, 2, 5, 5).sum(1), np.zeros(4), np.full(4, 1e-4))
     assert RULES.min_widening < factors.min()
     assert factors.max() < 0.7 * between.max()
 

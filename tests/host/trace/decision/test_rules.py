@@ -66,8 +66,8 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "temper": 2.0,
     "min_widening": 1.4142135623730951,
     "min_widening_flights": 8.0,
-    "jackknife_prior_flights": 7.0,
-    "jackknife_pieces": 4,
+    "widening_prior_flights": 7.0,
+    "widening_pieces": 4,
     # Amount of data.
     "position_sigma_floor_m": 1e-3,
     "attitude_sigma_floor_rad": 3e-3,
