@@ -197,7 +197,7 @@ class Rules:
         MEASURED,
     )
     min_widening: float = _rule(
-        math.sqrt(2.0),
+        1.37,
         "1",
         "Least factor by which standard deviations of flight fits are widened.",
         MEASURED,

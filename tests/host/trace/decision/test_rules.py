@@ -64,7 +64,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "excess_torque_rad_s2": 3.0,
     # Uncertainty.
     "temper": 2.0,
-    "min_widening": 1.4142135623730951,
+    "min_widening": 1.37,
     "min_widening_flights": 8.0,
     "widening_prior_flights": 7.0,
     "widening_pieces": 4,
