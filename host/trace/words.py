@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from trimtab.host.base.card import card, simulated_badge, table
 from trimtab.host.trace.data.audit import Audit, UnusedStretch
@@ -134,6 +134,17 @@ def dependence(entry: Dependence) -> list[str]:
     ]
 
 
+def _possible(result: Trace) -> tuple[str, str]:
+    """Return the possible effects with probabilities: those above RULES.open_probability, and the rest."""
+    probable = {name: p for name, p in result.possible.items() if p > RULES.open_probability}
+    rest = {name: p for name, p in result.possible.items() if name not in probable}
+    return _with_probabilities(probable), _with_probabilities(rest)
+
+
+def _with_probabilities(effects: Mapping[str, float]) -> str:
+    return ", ".join(f"{name} ({p:.2f})" for name, p in effects.items())
+
+
 def result_lines(result: Trace) -> list[str]:
     """Return the whole result as lines of text."""
     lines = [f"verdict: {result.verdict}"]
@@ -143,9 +154,10 @@ def result_lines(result: Trace) -> list[str]:
         lines += _effect_lines(effect)
     if result.effects:
         lines.append("  (+- is two standard deviations)")
-    if result.possible:
-        names = ", ".join(f"{name} ({p:.2f})" for name, p in result.possible.items())
-        lines.append(f"  also not excluded: {names}" if result.effects else f"  not excluded: {names}")
+    probable, open_ = _possible(result)
+    also = "also " if result.effects else ""
+    lines += [f"  {also}probable, but not certain enough to name: {probable}"] if probable else []
+    lines += [f"  {also}not excluded: {open_}"] if open_ else []
     lines += [f"  {text}" for text in sentences(result.findings, frozenset({Code.SOMETHING_MISSING}))]
     lines += [f"  {text}" for text in sentences(result.findings, DOUBTS)]
     if result.hidden:
@@ -260,13 +272,15 @@ def trace_card(result: Trace) -> str:
         before_mm, after_mm = 1e3 * before["position_rmse_m"], 1e3 * after["position_rmse_m"]
         held_out = f"{before_mm:.1f} mm before, {after_mm:.1f} mm after, {len(result.before)} flights"
     planned = result.next_flight
+    probable, open_ = _possible(result)
     return card(
         f"Trace: {result.verdict}",
         [
             ("vehicle", result.model.vehicle_name),
             ("flights", len(result.audits)),
             ("prediction error of held-out flights", held_out),
-            ("not excluded", ", ".join(f"{name} ({p:.2f})" for name, p in result.possible.items()) or None),
+            ("probable", probable or None),
+            ("not excluded", open_ or None),
             ("propose to fly next", None if planned is None else planned.route),
             *(("reason", each) for each in sentences(result.findings, OUTSIDE_LIBRARY_CODES | DOUBTS)),
         ],

@@ -358,11 +358,13 @@ def test_result_lines_hold_the_findings_in_groups() -> None:
     result = trace(
         verdict=Verdict.UNDECIDED,
         findings=tuple(EXAMPLES[code][0] for code in text),
-        possible={"gain": 0.321},
+        possible={"gain": 0.321, "lag": 0.916},
         audits=(audit_of("a", Code.NO_REPEAT),),
     )
     lines = words.result_lines(result)
     assert lines[0] == "verdict: undecided"
+    assert lines[1] == "  probable, but not certain enough to name: lag (0.92)"
+    lines = lines[1:]
     assert lines[1] == "  not excluded: gain (0.32)"
     assert lines[2] == f"  {sentence(EXAMPLES[Code.SOMETHING_MISSING][0])}"
     assert lines[3] == f"  {sentence(EXAMPLES[Code.HOVER_ONLY][0])}"
@@ -399,7 +401,7 @@ def test_card_holds_verdict_effects_reasons_and_what_was_simulated() -> None:
             verdict=Verdict.UNDECIDED,
             findings=(EXAMPLES[Code.HOVER_ONLY][0], EXAMPLES[Code.FORCE_RINGS][0]),
             effects=(effect,),
-            possible={"gain": 0.321},
+            possible={"gain": 0.321, "lag": 0.916},
             audits=(audit_of("a"), audit_of("b")),
             simulated_flights=1,
         )
