@@ -3,7 +3,7 @@
 The search adds, swaps and drops effects. It screens sets in a linearisation, then fits the promising ones. It
 selects the smallest set whose log evidence is close to the greatest. A `Fitter` fits the sets: to
 command-driven segments (`host.trace.segment_fit.fit`) or to whole flights in closed loop
-(`host.trace.flight_fit.fit`).
+(`host.trace.flight_fit.fitter`).
 """
 
 from __future__ import annotations

@@ -16,10 +16,10 @@ from trimtab.host.trace.decision.decide import is_null_open
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import (
     FlightFit,
-    FlightFitter,
     fit_closed_loop,
     prior_of,
 )
+from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
 from trimtab.host.trace.parameters import ParameterSpace

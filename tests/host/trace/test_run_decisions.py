@@ -34,7 +34,8 @@ from trimtab.host.trace.data.logs import observable_effects, read_logs
 from trimtab.host.trace.decision.decide import segment_disagreement
 from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import FlightFit, FlightFitter
+from trimtab.host.trace.flight_fit.fit import FlightFit
+from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.whitening import WINDOWS
 from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
 from trimtab.host.trace.parameters import ParameterSpace

@@ -23,7 +23,7 @@ from trimtab.host.effects.parameter import form
 from trimtab.host.trace import selection
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
-from trimtab.host.trace.flight_fit.fit import FlightFitter
+from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.search import Names
 from trimtab.host.trace.segment_fit.fit import SegmentFit, SegmentFitter
