@@ -13,7 +13,7 @@ from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.fit import FlightFit, fit_closed_loop, prior_of
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.whitening import whitened
-from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
 from trimtab.host.trace.search import Names, Score
 
 
@@ -38,7 +38,7 @@ class FlightFitter:
         return prior_of(self.loop.space)
 
     def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
-        """Return the set `effects` fitted from `start`."""
+        """Return the set `effects` fitted from `start`, with log evidence -inf if its model diverges."""
         theta_scaled = start.theta_scaled.copy()
         for name in set(start.effects) - set(effects):
             columns = [*self.space.groups[name], *self.space.forms[name]]
@@ -51,7 +51,10 @@ class FlightFitter:
                 if gain > RULES.worth_fitting_nats:
                     theta_scaled[columns] = theta_start[columns]
         hopeless = start.log_evidence - RULES.hopeless_nats
-        fit = fit_closed_loop(self.loop, effects, theta_scaled, self.order, hopeless=hopeless)
+        try:
+            fit = fit_closed_loop(self.loop, effects, theta_scaled, self.order, hopeless=hopeless)
+        except RollOutDiverged:
+            return replace(start, effects=tuple(sorted(effects)), log_evidence=-np.inf)
         # The autoregression predicts a large smooth error well: log evidence alone would not reject it.
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import Annotated
 
 import numpy as np
@@ -13,7 +13,7 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation
-from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
 from trimtab.host.trace.search import Names, Score
 from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.linearise import Basis
@@ -98,7 +98,13 @@ class SegmentFitter:
         return self.segment_model.space.prior
 
     def fit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
-        """Return the set `effects` refitted from `start`."""
+        """Return the set `effects` refitted from `start`, with log evidence -inf if its model diverges."""
+        try:
+            return self._refit(effects, start)
+        except RollOutDiverged:
+            return replace(start, effects=tuple(sorted(effects)), log_evidence=-np.inf)
+
+    def _refit(self, effects: Sequence[str], start: SegmentFit) -> SegmentFit:
         for name in sorted(set(effects) - set(start.effects)):
             if self._has_starts(name):
                 gain, theta_scaled = self._best_start(name, start)
@@ -325,7 +331,11 @@ def at_parameters(
     fixed = np.zeros(len(theta_scaled))
     passes = 2
     while True:
-        lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
+        try:
+            lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
+        except RollOutDiverged:  # the disturbance belongs to other parameters
+            data = undisturbed(data)
+            lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(x0)
         process = evidence.fit_process(lin, prior, effects, process)
         white = evidence.marginal_grams(lin, process, prior)

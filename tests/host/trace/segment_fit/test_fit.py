@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import numpy as np
 import pytest
@@ -16,7 +16,8 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
-from trimtab.host.trace.parameters import space
+from trimtab.host.trace.parameters import RollOutDiverged, space
+from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.fit import SegmentFitter, at_parameters, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.segment_fit.rollout import roll_out
@@ -89,3 +90,28 @@ def measured_by(
     measured = Rotation.from_matrix(data.R_ned_frd.reshape(-1, 3, 3))
     R = (measured * Rotation.from_rotvec(turn.reshape(-1, 3))).as_matrix().reshape(data.R_ned_frd.shape)
     return replace(data, p_ned=p, R_ned_frd=R, rate_frd=rate, force_frd=force)
+
+
+def test_set_whose_model_diverges_is_impossible_and_ends_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
+    flight = read_flight(DATA / "c1.mcap")
+    library = space(flight.vehicle, {name: load_effects()[name] for name in LIBRARY})
+    data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
+    model = SegmentModel.of(flight.vehicle, library, data)
+    nothing = refit(model, data, (), None, iterations=1)
+    linearised = linearise.linearise
+
+    def diverging(*arguments: Any) -> Any:
+        if arguments[1].disturbance_frd.any():
+            raise RollOutDiverged("the model with mass diverges on these flights")
+        return linearised(*arguments)
+
+    disturbed = replace(nothing, data=data.with_w(np.ones_like(data.disturbance_frd)))
+    monkeypatch.setattr(linearise, "linearise", diverging)
+    moved = np.full(len(library.columns), 0.01)
+    fit = SegmentFitter(segment_model=model).fit(
+        ("mass",), replace(disturbed, lin=replace(nothing.lin, theta_scaled=moved))
+    )
+    assert (fit.effects, fit.log_evidence) == (("mass",), -np.inf)
+    given = at_parameters(model, disturbed, (), moved, nothing.covariance, 1.0)
+    assert np.isfinite(given.lin.theta_scaled).all()
+    assert (given.log_evidence, given.effects) == (1.0, ())
