@@ -218,7 +218,15 @@ def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], Unexp
     If the residual of the model without effects exceeds its bounds too, return the findings on it and that
     residual: the selected effects were fitted to a cause that they do not describe.
     """
-    bounds = residual_bounds(inputs.residual_without, has_memory=inputs.has_memory, rules=rules)
+    repeat = inputs.residual.flight_repeat
+    bounds = residual_bounds(
+        inputs.residual_without,
+        has_memory=inputs.has_memory,
+        position_m=0.0 if repeat is None else repeat.position_m,
+        rules=rules,
+    )
+    if not inputs.selected and is_null_open(inputs.null_probability, rules):
+        bounds = no_effect_bounds(rules)  # no equation that may be inexact is in the model
     findings = residual_findings(inputs.residual, bounds, rules)
     if not findings:
         return [], inputs.residual

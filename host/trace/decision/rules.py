@@ -171,6 +171,12 @@ class Rules:
         "The selected set may leave this share of the repeatable amplitude that the model without effects "
         "leaves, since no effect's equation is exact.",
     )
+    equation_error_m: float = _rule(
+        0.01,
+        "m",
+        "This holds only up to this repeatable position error, unless an effect with states of its own, such "
+        "as a slung payload, is selected.",
+    )
     worsened_ratio: float = _rule(
         1.5, "1", "Effects that increase the repeatable position error by more than this factor are rejected."
     )

@@ -313,6 +313,23 @@ def test_bounds_increase_with_the_residual_without_effects(
     assert asdict(bounds) == pytest.approx(asdict(no_effect_bounds(RULES)) | expected)
 
 
+@pytest.mark.parametrize(
+    ("position_m", "has_memory", "grown"),
+    [
+        pytest.param(RULES.equation_error_m * BELOW, False, True, id="small"),
+        pytest.param(RULES.equation_error_m * ABOVE, False, False, id="great"),
+        pytest.param(RULES.equation_error_m * ABOVE, True, True, id="great-beside-memory"),
+    ],
+)
+def test_great_position_error_is_no_inexact_equation(
+    position_m: float, has_memory: bool, grown: bool
+) -> None:
+    without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
+    bounds = residual_bounds(without, has_memory=has_memory, position_m=position_m, rules=RULES)
+    expected = 25.0 * RULES.equation_error_amplitude**2 if grown else RULES.flight_repeat_share
+    assert bounds.flight_share == pytest.approx(expected)
+
+
 def test_bounds_are_never_below_the_given_rules() -> None:
     strict = replace(
         RULES,

@@ -56,6 +56,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "flight_repeat_share": 0.08,
     "repeat_standard_errors": 2.0,
     "equation_error_amplitude": 0.2,
+    "equation_error_m": 0.01,
     "worsened_ratio": 1.5,
     "worsened_m": 0.01,
     "repeat_shift_s": 1.0,
