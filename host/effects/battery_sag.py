@@ -31,7 +31,7 @@ EFFECT = Effect(
             typical=1.7,
             tolerance=0.1,
             lower=0.0,
-            upper=5.0,
+            upper=8.0,
             description="exponent of the voltage ratio in the thrust",
         ),
         # The speed of a loaded motor falls less than in proportion to the voltage.

@@ -33,7 +33,7 @@ EFFECT = Effect(
             typical=0.012,
             tolerance=0.0005,
             lower=0.0,
-            upper=0.05,
+            upper=0.08,
             description="square of a quarter of the effective rotor radius of the vehicle",
         ),
         # Measured laws of quadrotors fall faster or more slowly than the inverse square.
