@@ -225,8 +225,6 @@ def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], Unexp
         position_m=0.0 if repeat is None else repeat.position_m,
         rules=rules,
     )
-    if not inputs.selected and is_null_open(inputs.null_probability, rules):
-        bounds = no_effect_bounds(rules)  # no equation that may be inexact is in the model
     findings = residual_findings(inputs.residual, bounds, rules)
     if not findings:
         return [], inputs.residual

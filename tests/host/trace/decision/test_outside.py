@@ -146,27 +146,6 @@ def test_selected_effects_may_leave_a_share_of_the_residual(size: float, expecte
     assert decision.verdict is expected
 
 
-@pytest.mark.parametrize(
-    ("null_probability", "expected"),
-    [
-        pytest.param(0.9, Verdict.OUTSIDE_LIBRARY, id="empty-set-is-judged"),
-        pytest.param(0.001, Verdict.UNDECIDED, id="most-probable-set-is-judged"),
-    ],
-)
-def test_without_a_selected_effect_no_equation_can_be_inexact(
-    null_probability: float, expected: Verdict
-) -> None:
-    decision = decide(
-        build_inputs(
-            (),
-            null_probability=null_probability,
-            residual=repeating(0.3 * BELOW),
-            residual_without=repeating(3.0),
-        )
-    )
-    assert decision.verdict is expected
-
-
 def test_residual_without_effects_is_no_reason_if_the_effects_explain_it() -> None:
     decision = decide(build_inputs(("drag",), residual_without=repeating(3.0)))
     assert (decision.verdict, decision.findings) == (Verdict.TRACED, ())
