@@ -14,11 +14,7 @@ from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import is_null_open
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.fit import (
-    FlightFit,
-    fit_closed_loop,
-    prior_of,
-)
+from trimtab.host.trace.flight_fit.fit import FlightFit, fit_closed_loop, prior_of
 from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of

@@ -18,7 +18,7 @@ def drifting(rng: np.random.Generator, shifts: np.ndarray) -> np.ndarray:
     return np.stack(grams)
 
 
-def test_only_what_differs_between_flights() -> None:
+def test_only_what_differs_between_flights_widens() -> None:
     rng = np.random.default_rng(3)
     shifts = np.zeros((8, 4))
     shifts[:, 1] = 0.6 * rng.standard_normal(8)
