@@ -21,6 +21,8 @@ _LAG_UNEVEN = 0.05  # a motor slower than in its file slows down even more slowl
 _AIR_DENSITY_KG_M3 = 1.2
 _DISC_SHARE = 0.7  # rotor radius over half the distance to the next hub
 _INERTIA_PRODUCTS = (0.03, 0.05, -0.04)  # xy, xz, yz over the change of the moments of inertia
+SHOWN_BY = {"com-offset": "com_frd"}
+"""Names in `plant_parameters` of what one effect brings with another, in the unit of its parameters."""
 _BOLTED_FRD = (0.03, -0.02, 0.24)  # position of an additional mass over the arm length
 _TRAY_END = 0.24  # greatest slide of a battery in either direction over the arm length
 _MOMENTUM_SPREAD = (0.0015, -0.001, 0.001, -0.0015)  # relative spread of the rotors' angular momenta

@@ -3,13 +3,20 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect
-from trimtab.host.effects.parameter import Parameter
+from trimtab.host.effects.parameter import Parameter, form
 from trimtab.host.effects.unknowns import TORQUE
 
 
 def _torque(ops, theta, ctx):
-    x, y = theta
+    x, y, _ = theta
     return (y * ctx.collective_n, -x * ctx.collective_n, 0.0)
+
+
+def _inertia(ops, theta, mass_kg):
+    # A share s of the mass moved by d: r = s d, and about the new centre J grows by s m d^2 - m r^2.
+    x, y, spread = theta
+    roll, pitch = spread * mass_kg * y * y, spread * mass_kg * x * x
+    return (roll, pitch, roll + pitch)
 
 
 def _axis(key: str, direction: str) -> Parameter:
@@ -29,9 +36,15 @@ EFFECT = Effect(
     name="com-offset",
     title="Offset of the centre of mass",
     family="torque",
-    equation="tau_frd = -(x, y, 0) x (0, 0, -T) = (y T, -x T, 0)",
-    source="2-10 mm after a change of battery or payload; rigid-body statics",
-    parameters=(_axis("x", "ahead"), _axis("y", "to the right")),
+    equation="tau_frd = -(x, y, 0) x (0, 0, -T) = (y T, -x T, 0); "
+    "J = J_nominal + spread m diag(y^2, x^2, x^2 + y^2)",
+    source="2-10 mm after a change of battery or payload; rigid-body statics, parallel axis theorem",
+    parameters=(
+        _axis("x", "ahead"),
+        _axis("y", "to the right"),
+        # Of a share s of the mass that moved, it is 1/s - 1. A battery is a quarter to a half of the mass.
+        form("spread", 1.0, 0.0, 10.0, "inertia that the moved mass adds, over m r^2", neutral=2.0),
+    ),
     aliases=("wind", "torque-bias", "rotor-loss", "frame-tilt"),
     separated_by={"torque-bias": "balance the vehicle on an edge"},
     observable="changes of thrust, as in climbs and fast turns; in hover it looks like a torque bias",
@@ -45,4 +58,5 @@ EFFECT = Effect(
         no_law="the feed-forward has no torque; the rate integral balances it",
     ),
     torque_frd=_torque,
+    added_inertia_kg_m2=_inertia,
 )

@@ -211,6 +211,8 @@ class Effect:
         Factors (4,) on the thrust of each rotor.
     inertia_factors
         Factors (3,) on the principal moments of inertia.
+    added_inertia_kg_m2
+        Moments of inertia (3,) that are added to the principal ones, given the mass, kg.
     wind_ned
         Velocity of the air (3,), m/s.
     gravity_ned
@@ -265,6 +267,7 @@ class Effect:
     thrust_factor: Callable[[Ops, Theta, Context], Scalar] | None = None
     rotor_factors: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     inertia_factors: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
+    added_inertia_kg_m2: Callable[[Ops, Theta, Scalar], Sequence[Scalar]] | None = None
     wind_ned: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
     gravity_ned: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
     specific_force_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
@@ -388,6 +391,7 @@ SLOTS = (
     "thrust_factor",
     "rotor_factors",
     "inertia_factors",
+    "added_inertia_kg_m2",
     "wind_ned",
     "gravity_ned",
     "specific_force_frd",

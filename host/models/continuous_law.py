@@ -13,6 +13,9 @@ from trimtab.firmware_model.law.rotations import dot
 
 Scalar = Any
 
+LIMIT_DECAY = 70.0
+"""Rate, 1/s, at which what exceeds an integral's limit decays; RK4 is stable with it at steps of 20 ms."""
+
 _DELAY_FILTER_S = 0.0041
 """Shortest time constant of the filter on late commands; RK4 is stable with it at steps of 10 ms."""
 
@@ -49,10 +52,12 @@ def torque_with_filter_lag(
 
 
 def limited_integral_rate(ops: Ops, value: Scalar, rate: Scalar, limit: float) -> Scalar:
-    """Return the integral's rate: 0 where the integral is at its limit and would exceed it."""
-    up = ops.where(value >= limit, ops.maximum(rate, 0.0), 0.0)
-    down = ops.where(value <= -limit, ops.minimum(rate, 0.0), 0.0)
-    return rate - up - down
+    """Return the rate of an integral that the law limits: what exceeds the limit decays at LIMIT_DECAY.
+
+    If the rate were 0 at the limit instead, a roll-out would jump where it reaches the limit in another step,
+    and its slopes would mean nothing. The law uses the clipped value.
+    """
+    return rate - LIMIT_DECAY * (value - ops.clip(value, -limit, limit))
 
 
 def observer_rates(

@@ -74,7 +74,7 @@ def rigid_body(  # noqa: PLR0913 (an equation of many variables)
         fx, fy, fz = load.specific_force_frd
         ax, ay, az = mat_vec(R, (fx, fy, fz - up))
         a = (ax, ay, az + GRAVITY)
-    jx, jy, jz = inertia(ops, vehicle, effects)
+    jx, jy, jz = inertia(ops, vehicle, effects, load.mass)
     wx, wy, wz = rate
     alpha = (
         (tau[0] - (jz - jy) * wy * wz) / jx,

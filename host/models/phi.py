@@ -279,7 +279,7 @@ class Phi:
         torque = continuous_law.torque_with_filter_lag(torque, present, gains.rate_derivative, share, lag_s)
         _, command, _ = law_step.motors(ops, self.firmware, collective, torque, drive[FF_GAIN])
         return command, [
-            continuous_law.limited_integral_rate(ops, integral[i], integral_dot[i], limit[i])
+            continuous_law.limited_integral_rate(ops, x[INTEGRAL.start + i], integral_dot[i], limit[i])
             for i in range(3)
         ]
 
@@ -303,7 +303,10 @@ class Phi:
 
     @cached_property
     def stiffness(self) -> float:
-        """Largest eigenvalue of the linearised model at hover, 1/s, which limits the step size."""
+        """Largest eigenvalue of the linearised model, 1/s, which limits the step size.
+
+        It is that at hover, or that of an integral at its limit.
+        """
         x, drive = casadi.SX.sym("x", self.size), casadi.SX.sym("drive", DRIVE_ROWS[self.drive])
         flight, theta = flight_constants(), self.theta_neutral
         xdot = self.function(x, drive, flight, theta, np.zeros(3))
@@ -315,7 +318,7 @@ class Phi:
         else:
             still[2], still[FF_GAIN], still[VOLTAGE_AND_TIME.start] = -1.0, 1.0, 1.0
         matrix = np.array(jacobian(hover, still), dtype=float)
-        return float(np.abs(np.linalg.eigvals(matrix)).max())
+        return max(float(np.abs(np.linalg.eigvals(matrix)).max()), continuous_law.LIMIT_DECAY)
 
     def substeps(self, step_s: float) -> int:
         """Return how many RK4 steps to split `step_s` into: |eigenvalue| times step is at most 1.5."""

@@ -16,7 +16,7 @@ from trimtab.host.models.slots import loads
 Scalar = Any
 
 _FORCE_SLOTS = ("mass_factor", "thrust_factor", "rotor_factors", "gravity_ned")
-_TORQUE_SLOTS = ("thrust_factor", "rotor_factors", "inertia_factors", "torque_frd")
+_TORQUE_SLOTS = ("thrust_factor", "rotor_factors", "inertia_factors", "added_inertia_kg_m2", "torque_frd")
 
 
 def residual_acceleration_ned(

@@ -196,12 +196,15 @@ def gravity_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
     return total
 
 
-def inertia(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Sequence[Scalar]:
-    """Return the principal moments of inertia with all effects."""
+def inertia(ops: Ops, vehicle: Airframe, effects: Sequence[Part], mass_kg: Scalar) -> Sequence[Scalar]:
+    """Return the principal moments of inertia with all effects: their factors, then what they add."""
     j: Sequence[Scalar] = vehicle.inertia_kg_m2
     for effect, theta in effects:
         if effect.inertia_factors is not None:
             j = [a * f for a, f in zip(j, effect.inertia_factors(ops, theta), strict=True)]
+    for effect, theta in effects:
+        if effect.added_inertia_kg_m2 is not None:
+            j = add(j, effect.added_inertia_kg_m2(ops, theta, mass_kg))
     return j
 
 

@@ -157,7 +157,7 @@ def _constants(prepared: Prepared) -> np.ndarray:
         x[:, 3:6],
         np.gradient(x[:, 3:6], prepared.step_s, axis=0),
         x[:, 9:12],
-        gains=law_step.estimator_gains(law_step.parameter_vector(_parameters(flight))),
+        gains=law_step.estimator_gains(law_step.parameter_vector(firmware_parameters_of(flight))),
         age_s=age_s,
         interval_s=prepared.interval_s,
         step_s=prepared.step_s,
@@ -181,7 +181,8 @@ def _observed(observer: Observer | None, times_s: np.ndarray) -> np.ndarray | No
     return None if observer is None else _interpolated(times_s, observer.t_us * 1e-6, observer.disturbance)
 
 
-def _parameters(flight: Flight) -> Mapping[str, float]:
+def firmware_parameters_of(flight: Flight) -> Mapping[str, float]:
+    """Return the firmware's parameters of a flight, by name: the vehicle file's if the log holds none."""
     table = flight.firmware_parameters
     return to_parameters(flight.vehicle) if table is None else {**DEFAULTS, **table}
 

@@ -100,7 +100,7 @@ def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Pri
     count, m = len(lin.nuisances), 1 + lin.parameters
     sums = _without_disturbance(lin, process)
     flights = np.stack([flight_sums.gram for flight_sums in sums])
-    log_det = sum(flight_sums.log_det for flight_sums in sums)
+    log_det = sum(flight_sums.log_det for flight_sums in sums) + lin.freedom * np.log(lin.variance_factor)
     precision = 1.0 / prior.nuisance_sigma**2
     inner = flights[:, m:, m:] + np.diag(precision)
     rhs = flights[:, m:, :m].copy()
@@ -110,6 +110,20 @@ def marginal_grams(lin: Linearisation, process: DisturbanceVariances, prior: Pri
     gram[0, 0] += float((precision * lin.nuisances**2).sum())
     log_det += float(np.linalg.slogdet(inner)[1].sum() - count * np.log(precision).sum())
     return MarginalGrams(gram=gram, log_det=log_det, flight_grams=flight_grams, nuisance_gram=flights)
+
+
+def variance_factor(
+    lin: Linearisation, white: MarginalGrams, step: Annotated[np.ndarray, "parameters"]
+) -> float:
+    """Return the variance of the sensor noise over the stated one that is most probable after `step`.
+
+    Up to RULES.usual_variance_factor it is 1. Beyond, the sensors or the equations have errors that the
+    process disturbance does not describe, such as those of a motor controller within a logging interval.
+    """
+    gram = white.gram
+    square = gram[0, 0] - 2.0 * gram[0, 1:] @ step + step @ gram[1:, 1:] @ step
+    ratio = lin.variance_factor * float(square) / lin.freedom
+    return max(1.0, ratio / RULES.usual_variance_factor)
 
 
 def nuisance_step(

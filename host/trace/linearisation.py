@@ -6,7 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Annotated, TypeVar
 
 import numpy as np
@@ -73,6 +73,10 @@ class Linearisation:
         Scaled parameters.
     nuisances
         Sensor and flight errors that are constant over a flight.
+    freedom
+        Number of measured values, less the components of the initial states.
+    variance_factor
+        Variance of the sensor noise over that which the sensors state; the Grams are divided by it.
     jobs
         Threads that work on flights.
     """
@@ -84,6 +88,8 @@ class Linearisation:
     piece_flight: Annotated[np.ndarray, "pieces"]
     theta_scaled: Annotated[np.ndarray, "parameters"]
     nuisances: Annotated[np.ndarray, "flights nuisances"]
+    freedom: int = 0
+    variance_factor: float = 1.0
     jobs: int = 1
 
     @classmethod
@@ -95,6 +101,7 @@ class Linearisation:
         piece_flight: Annotated[np.ndarray, "pieces"],
         theta_scaled: Annotated[np.ndarray, "parameters"],
         nuisances: Annotated[np.ndarray, "flights nuisances"],
+        freedom: int = 0,
         jobs: int = 1,
     ) -> Linearisation:
         """Return a linearisation to be filled: `reduce` sets the Grams of segments, `add` those of pieces."""
@@ -107,7 +114,21 @@ class Linearisation:
             piece_flight=piece_flight,
             theta_scaled=theta_scaled,
             nuisances=nuisances,
+            freedom=freedom,
             jobs=jobs,
+        )
+
+    def with_variance_factor(self, factor: float) -> Linearisation:
+        """Return the linearisation with this variance of the sensor noise over the stated one."""
+        if factor == self.variance_factor:
+            return self
+        scale = self.variance_factor / factor
+        return replace(
+            self,
+            own=scale * self.own,
+            square=scale * self.square,
+            cross=scale * self.cross,
+            variance_factor=factor,
         )
 
     def reduce(

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Literal, TypeVar
 
 import numpy as np
 
@@ -21,6 +21,8 @@ from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_wh
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.search import (
+    Fitted,
+    Fitter,
     Names,
     OnProgress,
     SearchResult,
@@ -41,6 +43,7 @@ from trimtab.host.trace.segment_fit.model import SegmentModel
 from trimtab.host.trace.uncertainty import inflated_flight_covariance, inflated_segment_covariance
 
 Method = Literal["segments", "closed-loop"]
+Fit = TypeVar("Fit", bound=Fitted)
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -171,10 +174,14 @@ def _from_segments(
 ) -> Diagnosis:
     """Select the effects from segments. The search starts at `start`, a fit without effects."""
     segment_model = fitter.segment_model
+    space = segment_model.space
     result = search(fitter, start, on_progress)
-    selected = replace(
-        result.selected, covariance=inflated_segment_covariance(segment_model.space, result.selected)
-    )
+    fit = result.selected
+    present = present_effects(fitter, fit, inflated_segment_covariance(space, fit))
+    if present != fit.effects:
+        result = without_contradicted(result, set(fit.effects) - set(present))
+        result = replace(result, selected=fitter.fit(present, fit))
+    selected = replace(result.selected, covariance=inflated_segment_covariance(space, result.selected))
     prior = segment_model.space.prior
     gram = evidence.marginal_grams(selected.lin, selected.process, prior).flight_grams.sum(0)
     return Diagnosis(
@@ -257,7 +264,7 @@ def best_predicting(
 
 
 def present_effects(
-    fitter: FlightFitter, fit: FlightFit, covariance: Annotated[np.ndarray, "parameters parameters"]
+    fitter: Fitter[Fit], fit: Fit, covariance: Annotated[np.ndarray, "parameters parameters"]
 ) -> Names:
     """Return the effects of a fit that exceed their tolerance and chance.
 
@@ -276,8 +283,8 @@ def present_effects(
     return tuple(name for name in present if space.carried(name, present))
 
 
-def without_contradicted(result: SearchResult[FlightFit], absent: Collection[str]) -> SearchResult[FlightFit]:
-    """Return the result with at most RULES.open_probability for effects that the refit found `absent`.
+def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> SearchResult[Fit]:
+    """Return the result with at most RULES.open_probability for effects that were found `absent`.
 
     The sets with such an effect share that probability, those without it the rest.
     """

@@ -23,6 +23,7 @@ from trimtab.firmware_model.law.allocation import TABLE_SIZE
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX
 from trimtab.host.models.bias import standing_errors
+from trimtab.host.models.continuous_law import LIMIT_DECAY
 from trimtab.host.models.drive import FF_ACCEL, FF_GAIN, FF_JERK, FlightConstants
 from trimtab.host.models.dynamics import rotor_torque
 from trimtab.host.models.network import Layout
@@ -112,8 +113,7 @@ class JaxLoop:
         command = self._allocate(collective / drive[FF_GAIN], wanted / drive[FF_GAIN])
 
         more = self._k_i * rate_error
-        held = ((integral >= self._limit) & (more > 0.0)) | ((integral <= -self._limit) & (more < 0.0))
-        integral_dot = jnp.where(held, 0.0, more)
+        integral_dot = more - LIMIT_DECAY * (stored - integral)
         thrust_dot = (command - thrust) / self._lag
         return jnp.concatenate((v, a, angles_dot, rate_dot, thrust_dot, integral_dot))
 

@@ -96,6 +96,12 @@ class Segments:
         """Number of disturbance bins in a segment."""
         return round(self.steps * self.dt_s / BIN_S)
 
+    @property
+    def measured_values(self) -> int:
+        """Number of measured values: three for each position, attitude, body rate and specific force."""
+        weights = (self.pose_weight, self.pose_weight, self.rate_weight, self.force_weight)
+        return 3 * sum(int(np.count_nonzero(weight)) for weight in weights)
+
     def with_x0(self, x0: Annotated[np.ndarray, "segments 12"]) -> Segments:
         """Return the same segments with other initial states."""
         return replace(self, x0=x0)

@@ -61,6 +61,12 @@ class Rules:
         "Segments show an effect that depends on noise if it is farther than this from neutral in their fit "
         "without effects. Effects are then selected from segments.",
     )
+    usual_variance_factor: float = _rule(
+        1.25,
+        "1",
+        "Variance of the residual of segments over that of the stated sensor noise up to which it counts as "
+        "usual. Beyond, all information of the segments is divided by the excess.",
+    )
     form_share: float = _rule(
         0.1,
         "1",

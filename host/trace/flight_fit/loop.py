@@ -13,6 +13,7 @@ from typing import Annotated, TypeVar
 
 import numpy as np
 
+from trimtab.firmware_model.law.step import integral_limit
 from trimtab.host.base import parallel
 from trimtab.host.codegen.ops import NUMPY
 from trimtab.host.models.phi import INTEGRAL, Phi
@@ -82,7 +83,7 @@ class _Batch:
         """Return the states of a part of the flights every SAMPLE_S, the lanes of one after the other."""
         x0, lanes = self.x0[:, part], theta.shape[1]
         count = x0.shape[1]
-        return roll_out(
+        samples = roll_out(
             self.phi,
             x0=np.repeat(x0, lanes, axis=1),
             drive=self.drive[:, :, part],
@@ -94,6 +95,9 @@ class _Batch:
             rows=INTEGRAL.stop,
             compiled=True,
         )
+        limit = np.array(integral_limit(self.phi.firmware))[:, None]
+        np.clip(samples[:, INTEGRAL], -limit, limit, out=samples[:, INTEGRAL])
+        return samples
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
 import numpy as np
 from scipy.sparse import csr_array
 
-from trimtab.host.models.states import States
+from trimtab.firmware_model.law import step as law_step
+from trimtab.host.models.states import States, firmware_parameters_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 
@@ -23,6 +25,11 @@ FLIGHT_BIN_S = PER_BIN * SAMPLE_S
 
 _KEPT = 2
 """Latencies of which a recording keeps the matrix."""
+
+_AT_LIMIT = 0.99
+"""Share of its limit from which on the rate integral counts as at the limit."""
+_ABOUT_LIMIT = 3
+"""Bins before and after the one in which the rate integral reaches or leaves its limit; not compared."""
 
 LEAD_S = 0.3
 """Time after the start of the reference that is not compared. Errors of the initial state decay in it."""
@@ -44,7 +51,8 @@ class Recording:
         Bin values, three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
         integral FRD. The rate integral is the value in the middle of the bin; the others are means.
     known
-        Mask of the bins in which all channels were measured.
+        Mask of the bins in which all channels were measured, without those about a jump of the law: where
+        the rate integral reaches or leaves its limit.
     rates, integrals
         Matrices (bins, samples) that map states sampled every SAMPLE_S to what telemetry records of them.
         Gyro means cover whole telemetry intervals. The rate integral is interpolated linearly between
@@ -101,6 +109,9 @@ def record(data: FlightData, states: States) -> Recording:
     assert flight.control is not None
     frames_s = flight.control.sensed_us[:, 1] * 1e-6 - start
     between = _between_frames(FLIGHT_BIN_S * (np.arange(bins) + 0.5), frames_s)
+    integral = between @ flight.control.rate_integral
+    limit = law_step.integral_limit(law_step.parameter_vector(firmware_parameters_of(flight)))
+    jumps = _jumps_at_limits(integral, limit)
     late = FLIGHT_BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
@@ -113,13 +124,28 @@ def record(data: FlightData, states: States) -> Recording:
             [
                 sums / np.maximum(count, 1)[:, None],
                 shares @ s.rate_frd,
-                between @ flight.control.rate_integral,
+                integral,
             ]
         ),
-        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late,
+        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late & ~jumps,
         rates=shares @ _interval_means(s.imu_s - start, samples),
         integrals=between @ interpolation(frames_s, samples),
     )
+
+
+def _jumps_at_limits(
+    integral: Annotated[np.ndarray, "bins 3"], limit: Sequence[float]
+) -> Annotated[np.ndarray, "bins"]:
+    """Return the mask of the bins about those in which the rate integral reaches or leaves a limit.
+
+    A prediction that reaches the limit a little earlier or later has an error there that no linearisation
+    and no autoregression predicts.
+    """
+    at_limit = np.abs(integral) > _AT_LIMIT * np.array(limit)
+    changes = np.zeros(len(integral), dtype=int)
+    changes[1:] = (at_limit[1:] != at_limit[:-1]).any(1)
+    about = np.convolve(changes, np.ones(2 * _ABOUT_LIMIT + 1, dtype=int))
+    return about[_ABOUT_LIMIT : _ABOUT_LIMIT + len(changes)] > 0
 
 
 def bins_of_times(t_s: Annotated[np.ndarray, "times"], bins: int) -> Annotated[np.ndarray, "times"]:

@@ -176,9 +176,13 @@ class SegmentFitter:
     def _costs(self, fit: SegmentFit, data: Segments, points: np.ndarray) -> list[float]:
         """Return the negative log evidence of points with the process of `fit`, up to a constant."""
         lins = linearise.residuals_alone(self.segment_model, data, points, fit.lin.nuisances, fit.basis)
-        costs = [
-            0.5 * float(evidence.marginal_grams(lin, fit.process, self.prior).gram[0, 0]) for lin in lins
+        whites = [
+            evidence.marginal_grams(
+                lin.with_variance_factor(fit.lin.variance_factor), fit.process, self.prior
+            )
+            for lin in lins
         ]
+        costs = [0.5 * float(white.gram[0, 0]) for white in whites]
         return [cost if np.isfinite(cost) else np.inf for cost in costs]
 
 
@@ -255,18 +259,19 @@ def refit(
             data = data.with_w(evidence.disturbances(start.lin, process, left, np.zeros_like(nuisances)))
         basis = start.basis
     best: _Iterate | None = None
-    idle = 0
+    idle, factor = 0, 1.0 if start is None else start.lin.variance_factor
     for iteration in range(iterations):
         if iteration == 0 and start is not None and (theta_scaled == start.lin.theta_scaled).all():
             lin = start.lin
         else:
             lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
             data = data.with_x0(x0)
-        process = evidence.fit_process(lin, prior, effects, process)
-        white = evidence.marginal_grams(lin, process, prior)
-        step, covariance = evidence.bounded_step(
-            white.gram, theta_scaled, precision, space.bounds, space.added
-        )
+            lin = lin.with_variance_factor(factor)
+        process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
+        factor = evidence.variance_factor(lin, white, step)
+        if factor != lin.variance_factor:
+            lin = lin.with_variance_factor(factor)
+            process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
         largest = (np.abs(step) / np.sqrt(np.diag(covariance))).max()
         settled = np.abs(step).max() < 0.03 or (iteration >= 1 and largest < SEGMENTS_SETTLED)
         step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
@@ -300,6 +305,23 @@ def refit(
         data=best.data,
         basis=basis,
     )
+
+
+def _linear_step(
+    lin: Linearisation,
+    process: DisturbanceVariances,
+    prior: Prior,
+    effects: Sequence[str],
+    space: ParameterSpace,
+) -> tuple[DisturbanceVariances, evidence.MarginalGrams, np.ndarray, np.ndarray]:
+    """Return the process of greatest evidence from `process`, the Grams with it, step and covariance."""
+    process = evidence.fit_process(lin, prior, effects, process)
+    white = evidence.marginal_grams(lin, process, prior)
+    precision = prior.precision(effects)
+    step, covariance = evidence.bounded_step(
+        white.gram, lin.theta_scaled, precision, space.bounds, space.added
+    )
+    return process, white, step, covariance
 
 
 def at_parameters(

@@ -414,6 +414,7 @@ def linearise(
         piece_flight=piece_flight,
         theta_scaled=theta_scaled,
         nuisances=nuisances,
+        freedom=data.measured_values - STATES * len(data.flight),
         jobs=segment_model.jobs,
     )
 

@@ -59,8 +59,13 @@ def ratios(effects: Mapping[str, Effect]) -> list[Ratio]:
     ]
 
 
-def collapsed(names: Iterable[str], truth: Iterable[str], effects: Mapping[str, Effect]) -> frozenset[str]:
-    """Return `names` with exact aliases under one name.
+def collapsed(
+    names: Iterable[str],
+    truth: Iterable[str],
+    effects: Mapping[str, Effect],
+    brought: frozenset[str] = frozenset(),
+) -> frozenset[str]:
+    """Return `names` with exact aliases under one name, and without those that the truth brings with it.
 
     No flight distinguishes mass from thrust gain. Thrust, mass and inertia together show only two ratios: if
     mass or thrust gain is true, an inertia beside the alias is the same statement again.
@@ -70,7 +75,7 @@ def collapsed(names: Iterable[str], truth: Iterable[str], effects: Mapping[str, 
         if merged & ratio.alike:
             merged -= ratio.effects if true & ratio.alike else ratio.alike
             merged.add(ratio.name)
-    return frozenset(merged)
+    return frozenset(merged) - (brought - true)
 
 
 def ordered(effects: Iterable[Mapping[str, Any]]) -> list[str]:

@@ -27,15 +27,18 @@ Rows = Sequence[Mapping[str, Any]]
 
 
 def probability_rows(
-    answer: Mapping[str, Any], kinds: Sequence[str], effects: Mapping[str, Effect]
+    answer: Mapping[str, Any],
+    kinds: Sequence[str],
+    effects: Mapping[str, Effect],
+    brought: frozenset[str] = frozenset(),
 ) -> list[dict[str, Any]]:
     """Return name, probability, and whether it is there, for each named and each possible effect.
 
     Exact aliases count as one effect, with the greater probability. If mass or thrust gain is true, an
-    inertia beside the alias is neither right nor wrong, and has no row.
+    inertia beside the alias is neither right nor wrong, and has no row. Nor has an effect that is `brought`.
     """
     given = {e["name"]: e["probability"] for e in (*answer.get("possible", ()), *answer.get("effects", ()))}
-    counted, truth = collapsed(given, kinds, effects), collapsed(kinds, kinds, effects)
+    counted, truth = collapsed(given, kinds, effects, brought), collapsed(kinds, kinds, effects)
     merged = {name: ratio.name for ratio in ratios(effects) for name in ratio.alike}
     probability: dict[str, float] = {}
     for name, p in given.items():

@@ -14,6 +14,7 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of, write_json
 from trimtab.sitl.studies.flights import FEW, FLIGHTS, PLAIN, SCORE, STILL, TRUTH, VERDICT, Programme
+from trimtab.sitl.studies.scoring.brought import brought_effects
 from trimtab.sitl.studies.scoring.detection import detection_rows
 from trimtab.sitl.studies.scoring.effective import (
     Effective,
@@ -72,7 +73,8 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         if truth["class"] in INSIDE:
             values = off_by(chosen, deviations) if known is None else known.values
             floor = floor_m(vehicle, effects, values, drawn, held_out)
-    judged = judge(truth["kinds"], verdict, None if known is None else nearest(known), effects)
+    brought = brought_effects(truth, vehicle, chosen)
+    judged = judge(truth["kinds"], verdict, None if known is None else nearest(known), effects, brought)
     score = {
         "world": folder.name,
         "class": truth["class"],
@@ -82,6 +84,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         "redrawn": truth["redrawn"],
         "drawn": truth["effects"],
         "true": {} if known is None else known.true(),
+        "brought": sorted(brought),
         **judged,
         "outside_sigma": sigma,
         "detectable": None if sigma is None else sigma >= RULES.detectable_sigma,
@@ -90,7 +93,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
         "few": {
-            data: judge_few(truth["kinds"], read_json(folder / file), effects)
+            data: judge_few(truth["kinds"], read_json(folder / file), effects, brought)
             for data, file in FEW.items()
             if (folder / file).is_file()
         },
@@ -111,16 +114,17 @@ def judge(
     verdict: Mapping[str, Any],
     separations: Mapping[str, Mapping[str, float]] | None,
     effects: Mapping[str, Effect],
+    brought: frozenset[str] = frozenset(),
 ) -> dict[str, Any]:
     """Compare the verdict with a world of effects `kinds`, and return the comparison as plain data.
 
     `separations`, sigma, are of each true effect from each other candidate; None if the world has no effect
-    of the library. An undecided verdict on an identifiable world counts as a miss. If a verdict names
-    nothing, its alias set is what it considers possible.
+    of the library. `brought`: see `brought_effects`. An undecided verdict on an identifiable world counts as
+    a miss. If a verdict names nothing, its alias set is what it considers possible.
     """
 
     def alike(names: Iterable[str]) -> frozenset[str]:
-        return collapsed(names, kinds, effects)
+        return collapsed(names, kinds, effects, brought)
 
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
@@ -156,7 +160,7 @@ def judge(
         "exact": bool(first) and names == truth and decided,
         "in_alias": bool(kinds) and truth <= alike({*first, *aliases}),
         "alias_sizes": sizes,
-        "probabilities": probability_rows(answer, kinds, effects),
+        "probabilities": probability_rows(answer, kinds, effects, brought),
         "before_m": before.get("position_rmse_m"),
         "after_m": after.get("position_rmse_m"),
         "trace_s": verdict["trace_s"],
@@ -164,10 +168,13 @@ def judge(
 
 
 def judge_few(
-    kinds: Sequence[str], verdict: Mapping[str, Any], effects: Mapping[str, Effect]
+    kinds: Sequence[str],
+    verdict: Mapping[str, Any],
+    effects: Mapping[str, Effect],
+    brought: frozenset[str],
 ) -> dict[str, Any]:
     """Compare a verdict on few flights with the world, as `judge` does, without what needs all flights."""
-    judged = judge(kinds, verdict, None, effects)
+    judged = judge(kinds, verdict, None, effects, brought)
     keys = ("exit_code", "errors", "verdict", "named", "wrong", "probabilities", "trace_s")
     return {key: judged[key] for key in keys}
 

@@ -146,7 +146,7 @@ def test_com_offset_moves_the_lever_of_every_rotor():
     moved = replace(VEHICLE, rotors=tuple(rotors))
     s = state(6)
     expected = dynamics.derivative(FLOAT, moved, [], s, COMMAND)
-    np.testing.assert_allclose(rates([part("com-offset", x, y)], s), expected, atol=1e-12)
+    np.testing.assert_allclose(rates([part("com-offset", x, y, 0.0)], s), expected, atol=1e-12)
 
 
 def test_mocap_latency_adds_to_the_pose_path_only():

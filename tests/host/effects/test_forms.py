@@ -203,3 +203,19 @@ def test_battery_sag_of_a_loaded_motor_has_a_greater_exponent() -> None:
 def test_thrust_gain_error_grows_with_rotor_speed() -> None:
     added = change(level(thrust=4.0 * HOVER_N), part("thrust-gain", 0.9, 0.5))
     np.testing.assert_allclose(added[5], 4.0 * GRAVITY * 0.15, atol=1e-8)
+
+
+@pytest.mark.parametrize("share", [0.2, 0.5])
+def test_offset_of_the_centre_of_mass_adds_the_inertia_of_the_mass_that_moved(share: float) -> None:
+    """Two point masses, one moved: their moments about the new centre, by hand."""
+    mass, moved = VEHICLE.mass_kg, np.array([0.03, -0.02, 0.0])
+    centre = share * moved
+    masses, places = (share * mass, (1.0 - share) * mass), (moved - centre, -centre)
+    expected = np.zeros((3, 3))
+    for m, r in zip(masses, places, strict=True):
+        expected += m * (r @ r * np.eye(3) - np.outer(r, r))
+    offset = part("com-offset", centre[0], centre[1], 1.0 / share - 1.0)
+    found = slots.inertia(FLOAT, VEHICLE, [offset], mass)
+    np.testing.assert_allclose(np.subtract(found, VEHICLE.inertia_kg_m2), np.diag(expected), rtol=1e-12)
+    scaled = slots.inertia(FLOAT, VEHICLE, [offset, part("inertia", 1.2, 1.0, 1.0)], mass)
+    assert scaled[0] == pytest.approx(1.2 * VEHICLE.inertia_kg_m2[0] + expected[0, 0])

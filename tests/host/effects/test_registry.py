@@ -16,7 +16,7 @@ SHIPPED = {
     "mass": ("factor",),
     "battery-sag": ("exponent",),
     "motor-lag": ("extra_s",),
-    "com-offset": ("x", "y"),
+    "com-offset": ("x", "y", "spread"),
     "mocap-latency": ("latency_s",),
     "actuation-delay": ("delay_s",),
     "frame-tilt": ("tilt_x", "tilt_y"),

@@ -11,6 +11,7 @@ import pytest
 from tests.parts import part
 from trimtab.firmware_model.law import feedforward as law_feedforward
 from trimtab.firmware_model.law.ops import FLOAT
+from trimtab.firmware_model.law.step import integral_limit
 from trimtab.host.codegen.batch import Batch
 from trimtab.host.effects import load_effects
 from trimtab.host.models.drive import (
@@ -21,7 +22,7 @@ from trimtab.host.models.drive import (
     flight_constants,
 )
 from trimtab.host.models.network import Layout, Network
-from trimtab.host.models.phi import Phi
+from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.reference import block as block_of
 from trimtab.host.models.reference import feedforward_rows, flat_outputs
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
@@ -32,8 +33,10 @@ EFFECTS = load_effects()
 DRAG = part("linear-drag", 0.4, 0.35, 0.2)
 
 
-def predict(phi, reference, parts=(), *, step_s=0.01, every=1, feedforward=None, network=None, **constants):
-    """The 12 states (n, 12) of a whole flight from hover at the reference's start."""
+def predict(
+    phi, reference, parts=(), *, step_s=0.01, every=1, rows=12, feedforward=None, network=None, **constants
+):
+    """The first `rows` states (n, rows) of a whole flight from hover at the reference's start."""
     steps = round(reference.duration_us * 1e-6 / step_s)
     drive = reference_drive(reference, half_steps(0.0, steps, step_s), feedforward=feedforward)
     start = flat_outputs(reference, np.zeros(1))[:, 0]
@@ -47,6 +50,7 @@ def predict(phi, reference, parts=(), *, step_s=0.01, every=1, feedforward=None,
         step_s=step_s,
         every=every,
         network=network,
+        rows=rows,
     )
     return states[:, :, 0]
 
@@ -74,6 +78,32 @@ def test_phi_whole_flight_equals_the_sampled_loop(vehicle, make_reference, fly_s
     assert rmse(predicted, flown) < 0.1e-3
     reached = flat_outputs(reference, 0.01 * np.arange(len(flown)))[:3].T
     assert rmse(predicted, flown) < 0.05 * rmse(flown, reached)
+
+
+def test_phi_with_the_integral_at_its_limit_equals_the_sampled_loop_and_has_slopes(
+    vehicle, make_reference, fly_sampled
+):
+    """A rate that stopped at the limit would make a roll-out jump, and its difference quotients useless."""
+    reference = make_reference(turning=True)
+    effect = EFFECTS["com-offset"]
+    phi = Phi(vehicle=vehicle, effects=(effect,))
+    offset_m = 0.015  # the integral leaves its limit and returns
+    limit = np.array(integral_limit(phi.firmware))
+
+    def with_offset(y_m, rows=12):
+        return predict(
+            phi, reference, ((effect, (0.0, y_m, 2.0)),), rows=rows, mocap_age_s=0.012, mocap_interval_s=0.01
+        )
+
+    integral = with_offset(offset_m, rows=INTEGRAL.stop)[:, INTEGRAL.start]
+    at_limit = np.abs(integral) >= limit[0]
+    assert 0.1 < at_limit.mean() < 0.9
+    assert np.abs(np.diff(at_limit.astype(int))).sum() >= 3
+    assert np.abs(integral).max() < 1.01 * limit[0]
+    flown = fly_sampled(reference, ((effect, (0.0, offset_m, 2.0)),))
+    assert rmse(with_offset(offset_m), flown) < 0.1e-3
+    coarse, fine = ((with_offset(offset_m + h) - with_offset(offset_m)) / h for h in (1e-5, 1e-7))
+    np.testing.assert_allclose(fine, coarse, atol=0.1 * np.abs(coarse).max())
 
 
 def observing(vehicle, bandwidth, **fields):

@@ -124,6 +124,40 @@ def test_log_evidence_averages_the_marginal_likelihoods_over_the_orders_of_magni
     assert [other] == evidence.log_evidences(gram, log_det, theta_scaled, PRIOR, [()], FREE)
 
 
+@pytest.mark.parametrize("factor", [0.5, 4.0])
+def test_variance_factor_scales_the_noise_of_the_sensors_alone(dense: Dense, factor: float) -> None:
+    r, J, covariance, _ = stacked(dense)
+    disturbance = covariance - np.eye(len(r))
+    lin = replace(dense.lin, freedom=len(r)).with_variance_factor(factor)
+    white = evidence.marginal_grams(lin, PROCESS, PRIOR)
+    total = factor * np.eye(len(r)) + disturbance
+    total += J[:, P:] @ np.diag(np.tile(PRIOR.nuisance_sigma**2, 2)) @ J[:, P:].T
+    expected = np.linalg.slogdet(total)[1]
+    assert white.log_det == pytest.approx(expected, abs=1e-7)
+    np.testing.assert_allclose(
+        white.gram[1:, 1:], J[:, :P].T @ np.linalg.solve(total, J[:, :P]), rtol=1e-7, atol=1e-9
+    )
+    again = lin.with_variance_factor(1.0)
+    np.testing.assert_allclose(again.own, dense.lin.own, rtol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("ratio", "expected"), [(0.5, 1.0), (1.0, 1.0), (RULES.usual_variance_factor, 1.0), (5.0, 4.0)]
+)
+def test_variance_factor_is_the_excess_over_the_usual(dense: Dense, ratio: float, expected: float) -> None:
+    lin = replace(dense.lin, freedom=100)
+    gram = np.zeros((1 + P, 1 + P))
+    gram[0, 0] = 100.0 * ratio + 9.0
+    gram[1, 1], gram[0, 1], gram[1, 0] = 1.0, 3.0, 3.0  # a step of 3 explains 9
+    white = replace(evidence.marginal_grams(lin, PROCESS, PRIOR), gram=gram)
+    step = np.array([3.0, 0.0, 0.0])
+    assert evidence.variance_factor(lin, white, step) == pytest.approx(expected)
+    doubled = lin.with_variance_factor(2.0)
+    assert evidence.variance_factor(doubled, white, step) == pytest.approx(
+        max(1.0, 2.0 * ratio / RULES.usual_variance_factor)
+    )
+
+
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
     r, J, covariance, at = stacked(dense)
     precision = PRIOR.precision(("a",))

@@ -46,6 +46,7 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_GIVEN_WHITENING_ITERATIONS": "number of linearisations of a fit with a given whitening",
         "_REFIT_SETTLED": "step at which that fit ends",
         "_LINE": "step lengths of the line search",
+        "_STALLED_NATS": "gain of a step with which the iteration ends",
         "_ENOUGH": "decrease of the cost with which the line search takes the whole step",
     },
     "flight_fit/loop.py": {
@@ -60,6 +61,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "SAMPLE_S": "step of the roll-out",
         "PER_BIN": "steps in a bin",
         "_KEPT": "number of matrices that are kept",
+        "_AT_LIMIT": "share of its limit at which the rate integral counts as there",
+        "_ABOUT_LIMIT": "bins about a jump of the law that are not compared",
         "LEAD_S": "time in which the start's own errors die away",
     },
     "flight_fit/repeatability.py": {

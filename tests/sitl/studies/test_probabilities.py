@@ -76,7 +76,9 @@ def test_every_probability_is_in_one_bin(steps: int) -> None:
 def few(names: dict[str, float], kinds: list[str]) -> dict[str, Any]:
     effects = [{"name": name, "probability": p, "aliases": [], "parameters": {}} for name, p in names.items()]
     said = {"verdict": "traced", "effects": effects}
-    return judge_few(kinds, {"exit_code": 0, "answer": said, "errors": "", "trace_s": 5.0}, EFFECTS)
+    return judge_few(
+        kinds, {"exit_code": 0, "answer": said, "errors": "", "trace_s": 5.0}, EFFECTS, frozenset()
+    )
 
 
 def test_calibration_keeps_the_kinds_of_data_apart_and_names_false_certainties() -> None:

@@ -19,6 +19,7 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import read_json
 from trimtab.sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan_references
 from trimtab.sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
+from trimtab.sitl.studies.scoring.brought import brought_effects
 from trimtab.sitl.studies.scoring.counts import exact_interval
 from trimtab.sitl.studies.scoring.detection import detection_rows
 from trimtab.sitl.studies.scoring.effective import Effective, effective, nearest
@@ -30,6 +31,7 @@ from trimtab.sitl.studies.scoring.metrics import (
     summary,
 )
 from trimtab.sitl.studies.scoring.names import collapsed, ratios
+from trimtab.sitl.studies.scoring.probabilities import probability_rows
 from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
 from trimtab.sitl.studies.table import failure, lines, truth_table
 from trimtab.sitl.studies.thin import CASES
@@ -114,6 +116,30 @@ def test_mass_named_as_thrust_gain_is_right() -> None:
     assert collapsed(["thrust-gain", "inertia"], ["mass"], EFFECTS) == mass
     assert collapsed(["inertia"], ["mass"], EFFECTS) != mass
     assert collapsed(["mass", "inertia"], ["motor-lag"], EFFECTS) == {"thrust-over-mass", "inertia"}
+
+
+def test_a_centre_of_mass_that_a_mass_moves_is_neither_right_nor_wrong() -> None:
+    def truth(file: str, **effects: dict[str, float]) -> dict[str, Any]:
+        named = {name.replace("_", "-"): values for name, values in effects.items()}
+        head = 'description = "a test"\ntolerances = true\n'
+        return {"world": "test", "file": head + file, "seed": 3, "plant": None, "effects": named}
+
+    heavy = truth("[effects.mass]\nfactor = 1.3\n", mass={"factor": 1.3})
+    light = truth("[effects.mass]\nfactor = 1.01\n", mass={"factor": 1.01})
+    lag = truth("[effects.motor-lag]\nextra_s = 0.02\n", motor_lag={"extra_s": 0.02})
+    brought = brought_effects(heavy, VEHICLE, SPACE)
+    assert brought == {"com-offset"}
+    assert brought_effects({**heavy, "plant": "rotorpy"}, VEHICLE, SPACE) == frozenset()
+    for other in (light, lag):
+        assert brought_effects(other, VEHICLE, SPACE) == frozenset()
+    said = verdict("traced", "thrust-gain", "inertia", "com-offset")
+    assert judge(["mass"], said, CLEAR, EFFECTS, brought)["exact"]
+    assert not judge(["mass"], said, CLEAR, EFFECTS)["exact"]
+    assert judge(["mass", "com-offset"], said, CLEAR, EFFECTS, brought)["exact"]
+    alone = verdict("traced", "com-offset")
+    assert not judge(["mass"], alone, CLEAR, EFFECTS, brought)["exact"]
+    rows = probability_rows(said["answer"], ["mass"], EFFECTS, brought)
+    assert [row["name"] for row in rows] == ["thrust-over-mass"]
 
 
 def test_effects_that_show_as_ratios_are_the_kinds_that_make_no_pair() -> None:

@@ -70,13 +70,14 @@ def test_derivative_at_states_of_every_kind_is_phis(
     loop = JaxLoop(phi, LAYOUT)
     found = jax.jit(jax.vmap(loop.derivative, in_axes=(0, 0, 0, None)))(x, drive, constants, loop.weights(xi))
     np.testing.assert_allclose(found, expected, rtol=1e-9, atol=1e-9)
-    # Not without the limits: rotors at both, the integral held and not.
+    # Not without the limits: rotors at both, the integral beyond its limit and not.
     lag = phi.vehicle.motor_lag_s + phi.hold_s
     command = x[:, 12:16] + lag * expected[:, 12:16]
     assert np.isclose(command, phi.vehicle.thrust_max_n).any(axis=1).sum() > STATES // 20
     assert (command < 1.01 * command.min()).any(axis=1).sum() > STATES // 20
-    held = expected[:, 16:19] == 0.0
-    assert 10 < held.sum() < held.size / 2
+    limit = np.array(law_step.integral_limit(phi.firmware))
+    beyond = np.abs(x[:, 16:19]) > limit
+    assert 10 < beyond.sum() < beyond.size / 2
 
 
 def test_peers_have_our_gradient(

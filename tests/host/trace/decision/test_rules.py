@@ -31,6 +31,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "worth_fitting_nats": 12.0,
     "hopeless_nats": 30.0,
     "noise_dependent_spikes": 2.5,
+    "usual_variance_factor": 1.25,
     "form_share": 0.1,
     "swap_share": 0.5,
     "present_spikes": 1.0,

@@ -188,7 +188,7 @@ def test_slopes_of_a_form_are_computed_once_its_effect_is_added(
 def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
     library: ParameterSpace, loop: ClosedLoop, overshoot: float, share: float
 ) -> None:
-    """The step leads past the drag with which the flights were made."""
+    """The linearisation, with a gradient that is too great, leads past the drag of the flights."""
     there, neutral = scaled(library, linear_drag__dx=0.3), scaled(library)
     made = simulated(loop, there, 2)
     base = [r[0] for r in made.residuals(neutral[:, None])]
@@ -196,6 +196,8 @@ def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
     regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
     white = whitening.autoregression(regressors)
     gram = refine.whitened_grams(white, made, base, made.slopes(neutral, (), base)).sum(0) / RULES.temper
+    gram[0, 1:] *= overshoot
+    gram[1:, 0] *= overshoot
     tried: list[int] = []
     rolled = made.with_residuals
 
@@ -205,8 +207,18 @@ def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
 
     made.with_residuals = counted  # type: ignore[method-assign]
     step = overshoot * there
-    moved, residuals = refine._line_search(made, white, np.zeros(len(there)), neutral, step, base, gram)
+    line = refine._Line(
+        loop=made,
+        white=white,
+        precision=np.zeros(len(there)),
+        theta_scaled=neutral,
+        step=step,
+        base=base,
+        gram=gram,
+    )
+    moved, residuals, gain_nats = line.search()
     np.testing.assert_allclose(moved, share * step)
+    assert line.promised_nats == pytest.approx(overshoot**2 * gain_nats, rel=0.05)
     assert tried == ([1] if share == 1.0 else [1, 3])
     for found, expected in zip(residuals, made.residuals(moved[:, None]), strict=True):
         np.testing.assert_allclose(found, expected[0], atol=1e-12)

@@ -2,9 +2,21 @@
 
 from __future__ import annotations
 
-import numpy as np
+from collections.abc import Sequence
+from dataclasses import replace
+from pathlib import Path
 
-from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S, bins_of_times
+import numpy as np
+import pytest
+
+from tests.narrowing import not_none
+from trimtab.host.log import read_flight
+from trimtab.host.trace.data.signals import FlightData, states_of
+from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S, Recording, bins_of_times, record
+
+A1 = Path(__file__).parents[3] / "data" / "a1.mcap"
+ABOUT = 3
+"""Bins before and after a jump that are not compared."""
 
 
 def test_time_just_before_the_end_of_a_flight_is_in_its_last_bin() -> None:
@@ -16,3 +28,40 @@ def test_time_just_before_the_end_of_a_flight_is_in_its_last_bin() -> None:
 def test_times_are_in_the_bin_that_holds_them() -> None:
     t_s = np.array([0.0, 0.039, 0.041, 0.1])
     assert bins_of_times(t_s, 10).tolist() == [0, 0, 1, 2]
+
+
+def recorded(integral: Sequence[float] = ()) -> Recording:
+    """Return the recording of a flight with this rate integral, the same about x and y, in its first bins."""
+    flight = read_flight(A1)
+    control = not_none(flight.control)
+    data = FlightData.of(flight)
+    rate_integral = np.zeros_like(control.rate_integral)
+    start = data.signals.span_s[0]
+    bins = ((control.sensed_us[:, 1] * 1e-6 - start) / FLIGHT_BIN_S).astype(int)
+    for frame, index in enumerate(bins):
+        if 0 <= index < len(integral):
+            rate_integral[frame, :2] = integral[index]
+    flight = replace(flight, control=replace(control, rate_integral=rate_integral))
+    data = FlightData.of(flight)
+    return record(data, states_of([data], 0.0)[0])
+
+
+@pytest.mark.parametrize(
+    ("levels", "jumps"),
+    [
+        pytest.param([0.0] * 60, [], id="far-from-the-limit"),
+        pytest.param([39.0] * 60, [], id="near-it"),
+        pytest.param([40.0] * 60 + [39.9] * 60, [], id="at-it-all-the-time"),
+        pytest.param([0.0] * 30 + [40.0] * 30, [30, 60], id="reaches-and-leaves-it"),
+        pytest.param([0.0] * 30 + [-40.0] * 30, [30, 60], id="of-either-sign"),
+    ],
+)
+def test_bins_about_a_jump_of_the_rate_integral_are_not_compared(
+    levels: list[float], jumps: list[int]
+) -> None:
+    whole = recorded().known
+    levels = levels + [levels[-1] if not jumps else 0.0] * (len(whole) - len(levels))
+    left_out = {k for jump in jumps for k in range(jump - ABOUT, jump + ABOUT + 1)}
+    found = recorded(levels).known
+    assert set(np.flatnonzero(whole & ~found).tolist()) == left_out & set(np.flatnonzero(whole).tolist())
+    assert not (found & ~whole).any()

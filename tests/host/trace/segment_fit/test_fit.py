@@ -92,6 +92,21 @@ def measured_by(
     return replace(data, p_ned=p, R_ned_frd=R, rate_frd=rate, force_frd=force)
 
 
+def test_a_fit_is_as_wide_as_the_sensors_are_noisy_whatever_they_state() -> None:
+    flight = read_flight(DATA / "c1.mcap")
+    library = space(flight.vehicle, {name: load_effects()[name] for name in LIBRARY})
+    data, _ = segments_of([FlightData.of(flight)], rate_driven=False)
+    model = SegmentModel.of(flight.vehicle, library, data)
+    column = library.groups["mass"][0]
+    noisier = replace(data, sigma=0.5 * data.sigma)  # a quarter of the true variance is stated
+    fits = [refit(model, each, (), None, iterations=4) for each in (data, noisier)]
+    factors = [fit.lin.variance_factor for fit in fits]
+    assert 1.0 <= factors[0] < 1.2  # this library lacks some effects of the flight
+    assert factors[1] == pytest.approx(4.0 * factors[0], rel=0.05)
+    sds = [np.sqrt(fit.covariance[column, column]) for fit in fits]
+    assert sds[1] == pytest.approx(sds[0], rel=0.05)
+
+
 def test_set_whose_model_diverges_is_impossible_and_ends_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
     flight = read_flight(DATA / "c1.mcap")
     library = space(flight.vehicle, {name: load_effects()[name] for name in LIBRARY})
