@@ -128,15 +128,23 @@ class _Tried(Generic[F]):
             self.fits[names] = fit
 
 
-def search(fitter: Fitter[F], null_fit: F, on_progress: OnProgress = lambda _: None) -> SearchResult[F]:
+def search(
+    fitter: Fitter[F],
+    null_fit: F,
+    on_progress: OnProgress = lambda _: None,
+    *,
+    guess: F | None = None,
+) -> SearchResult[F]:
     """Search for the missing effects and select the smallest set that the evidence does not reject.
 
-    null_fit: fit without effects, from which the search starts.
+    null_fit: fit without effects. guess: another fit; the search starts at the better of the two.
     """
     space = fitter.space
     tried = _Tried(fitter, on_progress, {(): null_fit})
     fits = tried.fits
     current = null_fit
+    if guess is not None and guess.log_evidence > null_fit.log_evidence:
+        fits[guess.effects] = current = guess
     for _ in range(2 * RULES.max_effects):
         trials: list[Names] = []
         for score in fitter.scorers(current):

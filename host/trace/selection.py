@@ -18,7 +18,7 @@ from trimtab.host.trace.flight_fit.fit import FlightFit, fit_closed_loop, prior_
 from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, repeatability_of
-from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 from trimtab.host.trace.search import (
     Fitted,
@@ -29,6 +29,7 @@ from trimtab.host.trace.search import (
     most_parsimonious,
     most_probable,
     null_probability_of,
+    screen,
     search,
     sizes,
 )
@@ -44,6 +45,9 @@ from trimtab.host.trace.uncertainty import inflated_flight_covariance, inflated_
 
 Method = Literal["segments", "closed-loop"]
 Fit = TypeVar("Fit", bound=Fitted)
+
+_GUESSED_EFFECTS = 4
+"""Most effects of a set that segments suggest."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -213,7 +217,12 @@ def _from_flights(
     fitter = FlightFitter(loop=loop, order=autoregression_order)
     neutral = theta_without_effects(space, null_fit)
     start = best_predicting(loop, (null_fit.theta_scaled, neutral))
-    result = search(fitter, fit_closed_loop(loop, (), start, autoregression_order), on_progress)
+    nothing = fit_closed_loop(loop, (), start, autoregression_order)
+    guess = None
+    if nothing.error_m > RULES.far_error_m:
+        guess = guessed_from_segments(SegmentFitter(segment_model=segment_model), null_fit, fitter)
+        on_progress("a set that segments suggest fitted")
+    result = search(fitter, nothing, on_progress, guess=guess)
     on_progress("comparing repeat flights")
     result = without_payload_artefacts(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
@@ -261,6 +270,24 @@ def best_predicting(
 
     errors = np.sum(loop.with_residuals(np.column_stack(points), squares), axis=0)
     return points[int(np.argmin(np.where(np.isfinite(errors), errors, np.inf)))]
+
+
+def guessed_from_segments(
+    segments: SegmentFitter, null_fit: SegmentFit, fitter: FlightFitter
+) -> FlightFit | None:
+    """Return a fit to whole flights that starts from the set which explains the segments best.
+
+    If flights end far from their prediction, the linearisation there says little about them. That of segments
+    holds, since each begins at the measured state. Returns None if the model cannot be rolled out there.
+    """
+    score, *_ = segments.scorers(null_fit)
+    names = most_probable(screen(segments.space, score, _GUESSED_EFFECTS))
+    fit = segments.fit(names, null_fit)
+    shown = tuple(name for name in fit.effects if name in fitter.space.candidates)
+    try:
+        return fit_closed_loop(fitter.loop, shown, fit.theta_scaled, fitter.order)
+    except RollOutDiverged:
+        return None
 
 
 def present_effects(

@@ -102,6 +102,12 @@ class Rules:
         "Another effect can act through an effect larger than this, as wind through drag, in units of the "
         "spike (tolerance and discrepancy combined).",
     )
+    far_error_m: float = _rule(
+        0.05,
+        "m",
+        "If whole flights without effects have a greater position error, their search may start from the set "
+        "that segments suggest.",
+    )
     worse_fit_ratio: float = _rule(
         1.5,
         "1",

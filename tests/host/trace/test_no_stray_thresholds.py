@@ -133,6 +133,9 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "search.py": {
         "BEAM": "width of the beam search",
     },
+    "selection.py": {
+        "_GUESSED_EFFECTS": "depth of the screening for a starting point",
+    },
     "segment_fit/fit.py": {
         "_CALM": "starting value of the search for the process noise",
         "START": "starting value of the search for the process noise",

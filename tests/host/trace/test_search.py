@@ -90,6 +90,24 @@ def test_search_drops_a_set_that_the_linearisation_overrates(library: ParameterS
     assert result.inclusion_probability["thrust-gain"] < 0.1
 
 
+@pytest.mark.parametrize(
+    ("guessed", "selected"),
+    [pytest.param(8.0, BOTH, id="better-than-nothing"), pytest.param(-1.0, (), id="worse-than-nothing")],
+)
+def test_search_starts_at_a_guess_that_is_better_than_nothing(
+    library: ParameterSpace, guessed: float, selected: Names
+) -> None:
+    """Neither the linearisation nor a single effect leads to the pair."""
+    fitter = KnownFitter(
+        library,
+        evidence={(): 0.0, DRAG: -2.0, GAIN: -1.0, BOTH: guessed},
+        believed={(): 0.0, DRAG: -2.0, GAIN: -1.0, BOTH: -3.0},
+    )
+    assert search(fitter, nothing(library)).selected.effects == ()
+    guess = fitter.fit(BOTH, nothing(library))
+    assert search(fitter, nothing(library), guess=guess).selected.effects == selected
+
+
 def test_search_selects_no_effect_if_all_sets_are_at_their_bounds(monkeypatch) -> None:
     """Thousands of nats for unsupported sets must not make the posterior weights 0/0."""
     monkeypatch.setattr(module, "RULES", replace(RULES, max_effects=1))

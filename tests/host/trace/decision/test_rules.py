@@ -38,6 +38,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "present_sigma": 2.0,
     "far_tolerances": 2.0,
     "carrier_spikes": 4.0,
+    "far_error_m": 0.05,
     "worse_fit_ratio": 1.5,
     "least_gain_beside_memory": 0.1,
     "detectable_sigma": 4.2,

@@ -13,7 +13,8 @@ import pytest
 from trimtab.host.effects import load_effects
 from trimtab.host.log import read_flight
 from trimtab.host.models.phi import INTEGRAL
-from trimtab.host.trace import evidence, uncertainty
+from trimtab.host.trace import evidence, selection, uncertainty
+from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit import fit as refine
@@ -23,8 +24,10 @@ from trimtab.host.trace.flight_fit import whitening
 from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, WINDOWS
-from trimtab.host.trace.parameters import ParameterSpace, space
-from trimtab.host.trace.selection import best_predicting
+from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged, space
+from trimtab.host.trace.segment_fit.fit import SegmentFitter, refit
+from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.selection import best_predicting, guessed_from_segments
 
 DATA = Path(__file__).parents[3] / "data"
 PRESENT = ("thrust-gain", "motor-lag", "mocap-latency")
@@ -136,6 +139,32 @@ def test_search_starts_from_the_point_that_predicts_the_flights_best(loop: Close
     for points in ((near, far), (far, near), (neutral, near, far), (unstable, near)):
         np.testing.assert_array_equal(best_predicting(made, points), near)
     np.testing.assert_array_equal(best_predicting(simulated(loop, neutral, 3), (far, neutral)), neutral)
+
+
+def test_segments_suggest_a_set_to_start_the_search_of_whole_flights_from(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    effects = load_effects()
+    flights = [FlightData.of(read_flight(DATA / f"{name}.mcap")) for name in ("a1", "b1")]
+    vehicle = flights[0].flight.vehicle
+    library = space(vehicle, {name: effects[name] for name in ("thrust-gain", "linear-drag", "dead-zone")})
+    data, _ = segments_of(flights, rate_driven=False)
+    segments = SegmentFitter(segment_model=SegmentModel.of(vehicle, library, data))
+    null_fit = refit(segments.segment_model, data, (), None, iterations=3)
+    loop = closed.closed_loop(flights, vehicle, library, np.zeros(len(library.columns)))
+    fitter = FlightFitter(loop=loop, order=1)
+    guess = guessed_from_segments(segments, null_fit, fitter)
+    assert guess is not None
+    assert "thrust-gain" in guess.effects
+    assert "dead-zone" not in guess.effects  # whole flights do not show it
+    nothing = refine.fit_closed_loop(loop, (), null_fit.theta_scaled, 1)
+    assert guess.log_evidence > nothing.log_evidence + 5.0
+
+    def diverging(*_: Any, **__: Any) -> Any:
+        raise RollOutDiverged("the model with thrust-gain diverges on these flights")
+
+    monkeypatch.setattr(selection, "fit_closed_loop", diverging)
+    assert guessed_from_segments(segments, null_fit, fitter) is None
 
 
 def test_slope_of_a_payload_line_is_updated_once_there_is_a_payload(loop: ClosedLoop) -> None:
