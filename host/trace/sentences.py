@@ -93,6 +93,10 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.TORQUE_REPEATS: _channel_repeats,
     Code.FORCE_RINGS: _rings,
     Code.TORQUE_RINGS: _rings,
+    Code.FORCE_PULSES: lambda f: (
+        f"a force of up to {f.value:.2f} m/s^2 pushes towards {f.details['bearing_deg']:.0f} degrees every "
+        f"{f.details['period_s']:.1f} s, at other times in each repeat flight, as a fan that sweeps does"
+    ),
     Code.TRACKING_TOO_SHORT: lambda f: (
         f"all flights together track for only {f.value:.1f} s, so tracing used segments instead of whole "
         "flights; fly longer"

@@ -30,6 +30,7 @@ class Code(StrEnum):
     TORQUE_REPEATS = "torque-repeats"
     FORCE_RINGS = "force-rings"
     TORQUE_RINGS = "torque-rings"
+    FORCE_PULSES = "force-pulses"
     # Doubts about the flights as a whole.
     TRACKING_TOO_SHORT = "tracking-too-short"
     HOVER_ONLY = "hover-only"
@@ -93,6 +94,7 @@ OUTSIDE_LIBRARY_CODES = frozenset(
         Code.TORQUE_REPEATS,
         Code.FORCE_RINGS,
         Code.TORQUE_RINGS,
+        Code.FORCE_PULSES,
     }
 )
 """Findings that put the cause outside the library; the JSON's `reasons` are their sentences."""

@@ -1,4 +1,4 @@
-"""Rules on the residual: it needs a cause outside the library if it repeats, rings or was made worse."""
+"""Rules on the residual: its cause is outside the library if it repeats, rings, pulses or was made worse."""
 
 from __future__ import annotations
 
@@ -105,6 +105,21 @@ def residual_findings(residual: UnexplainedResidual, bounds: ResidualBounds, rul
             for name, channel, bound, repeats, _ in channels
             if channel.z_score > rules.repeat_z and channel.repeat > bound
         ]
+    pulses = residual.pulses
+    if pulses.ratio > rules.pulse_ratio and pulses.peak_m_s2 > rules.force_floor_m_s2:
+        findings.append(
+            Finding(
+                code=Code.FORCE_PULSES,
+                value=pulses.peak_m_s2,
+                bound=rules.force_floor_m_s2,
+                unit=CHANNEL_UNITS["force"],
+                details={
+                    "period_s": pulses.period_s,
+                    "bearing_deg": math.degrees(pulses.bearing_rad),
+                    "ratio": pulses.ratio,
+                },
+            )
+        )
     findings += [
         Finding(
             code=rings, value=channel.line.ratio, bound=bounds.line_ratio, details={"hz": channel.line.hz}

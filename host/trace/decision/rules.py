@@ -62,7 +62,7 @@ class Rules:
         "without effects. Effects are then selected from segments.",
     )
     usual_variance_factor: float = _rule(
-        1.25,
+        1.5,
         "1",
         "Variance of the residual of segments over that of the stated sensor noise up to which it counts as "
         "usual. Beyond, all information of the segments is divided by the excess.",
@@ -160,6 +160,14 @@ class Rules:
     )
     line_min_hz: float = _rule(0.3, "Hz", "Lowest frequency of the search for lines.")
     line_max_hz: float = _rule(4.0, "Hz", "Highest frequency of the search for lines.")
+    pulse_ratio: float = _rule(
+        0.95,
+        "1",
+        "Pulses of force at equal intervals over the greatest that noise of the same power may show, above "
+        "which the force has a cause that moves by itself, such as a fan that sweeps.",
+    )
+    pulse_min_s: float = _rule(2.0, "s", "Shortest interval of the search for pulses.")
+    pulse_max_s: float = _rule(5.5, "s", "Longest interval of the search for pulses.")
     excited_power_share: float = _rule(
         0.02,
         "1",

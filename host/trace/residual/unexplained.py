@@ -4,7 +4,8 @@ Repeat flights share only the vehicle, its surroundings and the reference. The p
 disturbance that repeats between them is therefore physics that the model lacks, however small it is next to
 the turbulence. The mean of w_1 . w_2, the scalar product of the disturbances of two repeat flights, is not
 biased by noise, so no noise floor is subtracted. An oscillation whose phase differs between flights does not
-repeat, but shows as a line in the spectrum.
+repeat, but shows as a line in the spectrum. Nor does a force that comes back every few seconds, such as that
+of a fan that sweeps. Its pulses show in the difference of two repeat flights.
 """
 
 from __future__ import annotations
@@ -14,6 +15,7 @@ from dataclasses import dataclass
 from typing import Annotated
 
 import numpy as np
+from scipy.ndimage import uniform_filter1d
 from scipy.special import gammaincc, gammainccinv
 
 from trimtab.host.trace.data.segments import BIN_S, Segments
@@ -21,6 +23,15 @@ from trimtab.host.trace.decision.rules import RULES, Rules
 
 _FFT = 256
 """Length in bins of the Fourier transform."""
+
+_PULSE_BINS = 5
+"""Length in bins of a pulse."""
+_PHASE_S = 0.4
+"""Shift after which noise, averaged over a pulse, is independent."""
+_BEST = 3.5
+"""Standard deviations by which the best direction and interval may exceed the mean."""
+_DIRECTIONS = 18
+"""Horizontal directions that are tried, over half a turn."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -38,6 +49,23 @@ class SpectralLine:
 
 
 NO_LINE = SpectralLine()
+
+
+@dataclass(frozen=True, kw_only=True)
+class PulseTrain:
+    """The strongest pulses of force at equal intervals, in one horizontal direction.
+
+    ratio: mean pulse over the greatest one that noise of the same power may show. period_s: interval.
+    peak_m_s2: mean pulse, averaged over half a second. bearing_rad: where it pushes, from north to east.
+    """
+
+    ratio: float = 0.0
+    period_s: float = 0.0
+    peak_m_s2: float = 0.0
+    bearing_rad: float = 0.0
+
+
+NO_PULSES = PulseTrain()
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -94,6 +122,8 @@ class UnexplainedResidual:
         Residual disturbance of segments.
     pairs
         Number of pairs of repeat flights.
+    pulses
+        Pulses of the force that do not repeat between repeat flights.
     flight_repeat
         Repeatability of whole flights in closed loop; None if none were compared. If present, it decides
         whether something repeats, and `force` and `torque` only show what.
@@ -102,6 +132,7 @@ class UnexplainedResidual:
     force: ChannelResidual
     torque: ChannelResidual
     pairs: int
+    pulses: PulseTrain = NO_PULSES
     flight_repeat: FlightRepeat | None = None
 
 
@@ -147,7 +178,11 @@ def unexplained_residual(
         line = NO_LINE if skip_line else _line(w[:, :, channel], motion, flight, start_s)
         residuals.append(ChannelResidual(repeat=repeat, z_score=z, line=line))
     force, torque = residuals
-    return UnexplainedResidual(force=force, torque=torque, pairs=len(repeat_flights))
+    frd = w[:, :, :3] if axial else w[:, :, :3] * [1.0, 1.0, 0.0]
+    R = data.R_ned_frd.reshape(len(w), w.shape[1], per_bin, 3, 3)[:, :, per_bin // 2, :2]
+    horizontal = np.einsum("sbij,sbj->sbi", R, frd)
+    pulses = _pulses(horizontal, flight, start_s, repeat_flights)
+    return UnexplainedResidual(force=force, torque=torque, pairs=len(repeat_flights), pulses=pulses)
 
 
 def _repeat(
@@ -180,6 +215,79 @@ def _repeat(
     total = float(sum(product))
     spread = float(np.sqrt(sum(variance) * np.concatenate(cosine_squares).mean()))
     return float(np.sign(total) * np.sqrt(abs(total) / bins)), total / spread if spread > 0 else 0.0
+
+
+def _pulses(
+    force: Annotated[np.ndarray, "segments bins 2"],
+    flight: Annotated[np.ndarray, "segments"],
+    start_s: Annotated[np.ndarray, "segments"],
+    repeat_flights: Sequence[tuple[int, int]],
+) -> PulseTrain:
+    """Return the strongest pulses of a horizontal force (north, east) at equal intervals.
+
+    In the difference of two repeat flights, pulses of the first are positive and those of the second are
+    negative. What repeats is not in it. For each direction and interval, the difference is averaged over
+    equidistant times, and the span of these averages over all phases is the size of the pulses.
+
+    The greatest of M averages of n values of noise is sqrt(2 ln M / n) of its standard deviations, and the
+    span varies by about sqrt(0.5 / n). The best direction and interval may exceed the mean span of all pairs
+    by _BEST standard deviations.
+    """
+    bearing = np.pi / _DIRECTIONS * np.arange(_DIRECTIONS)
+    towards = np.stack([np.cos(bearing), np.sin(bearing)])
+    periods = np.arange(round(RULES.pulse_min_s / BIN_S), round(RULES.pulse_max_s / BIN_S) + 1)
+    size, by_chance = np.zeros((len(periods), _DIRECTIONS)), np.zeros(len(periods))
+    variance, pairs = np.zeros(len(periods)), np.zeros(len(periods))
+    power, cubes, count = np.zeros(_DIRECTIONS), np.zeros(_DIRECTIONS), 0
+    for first, second in repeat_flights:
+        both = [_series(force[flight == each], start_s[flight == each]) for each in (first, second)]
+        if min(len(x) for _, x in both) == 0:
+            continue
+        begin = max(k for k, _ in both)
+        a, b = (x[begin - k :] @ towards for k, x in both)
+        length = min(len(a), len(b))
+        smooth = [
+            uniform_filter1d(x[:length] - x[:length].mean(0), _PULSE_BINS, axis=0, mode="constant")
+            for x in (a, b)
+        ]
+        cubes += sum((x**3).sum(0) for x in smooth)
+        difference = smooth[0] - smooth[1]
+        power += (difference**2).sum(0)
+        count += length
+        for row, period in enumerate(periods.tolist()):
+            turns = length // period
+            if turns < 2:
+                continue
+            means = difference[: turns * period].reshape(turns, period, -1).mean(0)
+            size[row] += means.max(0) - means.min(0)
+            by_chance[row] += 2.0 * np.sqrt(2.0 * np.log(period * BIN_S / _PHASE_S) / turns)
+            variance[row] += 0.5 / turns
+            pairs[row] += 1
+    if not by_chance.any():
+        return NO_PULSES
+    by_chance += _BEST * np.sqrt(variance)
+    ratio = size / np.maximum(by_chance[:, None] * np.sqrt(power / count), 1e-300)
+    row = int(ratio.max(1).argmax())
+    column = int(size[row].argmax())
+    return PulseTrain(
+        ratio=float(ratio[row].max()),
+        period_s=float(periods[row] * BIN_S),
+        peak_m_s2=float(size[row, column] / (2.0 * pairs[row])),
+        bearing_rad=float(bearing[column] + (np.pi if cubes[column] < 0.0 else 0.0)),
+    )
+
+
+def _series(
+    force: Annotated[np.ndarray, "segments bins 2"], start_s: Annotated[np.ndarray, "segments"]
+) -> tuple[int, Annotated[np.ndarray, "n 2"]]:
+    """Return the bin at which a flight's segments begin, and their force bin by bin; 0 in gaps."""
+    if not len(force):
+        return 0, np.zeros((0, 2))
+    at = np.round(start_s / BIN_S).astype(int)
+    x = np.zeros((int(at.max() - at.min()) + force.shape[1], 2))
+    for k, segment in zip(at - at.min(), force, strict=True):
+        x[k : k + len(segment)] = segment
+    return int(at.min()), x
 
 
 def _line(w: np.ndarray, motion: np.ndarray, flight: np.ndarray, start_s: np.ndarray) -> SpectralLine:

@@ -123,7 +123,7 @@ def test_residual_beside_a_drag_is_the_drags() -> None:
 
 def test_residual_of_effects_within_tolerance_counts_their_force_alone() -> None:
     drag, gain = part("linear-drag", 0.4, 0.3, 0.2), part("thrust-gain", 1.005)
-    offset = part("com-offset", 0.004, -0.002)
+    offset = part("com-offset", 0.004, -0.002, 0.0)
     x = _flight(5)
 
     def rows(*parts: Part) -> np.ndarray:

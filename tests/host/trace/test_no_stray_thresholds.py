@@ -128,6 +128,10 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     "residual/unexplained.py": {
         "_FFT": "length of the Fourier transform",
         "_QUIET": "a residual of nothing",
+        "_PULSE_BINS": "length of the mean over a pulse",
+        "_PHASE_S": "shift that makes averages independent, for the number of chances",
+        "_DIRECTIONS": "grid of directions",
+        "_BEST": "expected size of the greatest of many chances",
         "NOTHING_UNEXPLAINED": "the same of both channels",
     },
     "search.py": {

@@ -77,6 +77,16 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
             Finding(code=Code.TORQUE_RINGS, value=8.91, bound=3.5, details={"hz": 2.416}),
             ["residual torque", "2.42 Hz", "8.9 times"],
         ),
+        (
+            Finding(
+                code=Code.FORCE_PULSES,
+                value=0.512,
+                bound=0.06,
+                unit="m/s^2",
+                details={"period_s": 3.6, "bearing_deg": 291.4, "ratio": 1.2},
+            ),
+            ["0.51 m/s^2", "291 degrees", "every 3.6 s"],
+        ),
         (Finding(code=Code.TRACKING_TOO_SHORT, value=3.44, bound=9.6, unit="s"), ["3.4 s"]),
         (Finding(code=Code.HOVER_ONLY, value=0.1, bound=0.3, unit="m"), ["hover", "manoeuvres"]),
         (Finding(code=Code.EXCESS_FORCE, value=1.72, bound=0.5, unit="m/s^2"), ["force of 1.7 m/s^2"]),

@@ -79,6 +79,7 @@ def test_reasons_and_doubts_are_the_documented_codes() -> None:
         "torque-repeats",
         "force-rings",
         "torque-rings",
+        "force-pulses",
     }
     assert {str(code) for code in DOUBTS} == {
         "tracking-too-short",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -111,6 +112,55 @@ def test_residual_of_a_force_that_does_not_repeat_has_no_findings() -> None:
     w = noise(2)
     w[:, :, 0] += np.random.default_rng(4).normal(size=(SEGMENTS * FLIGHTS, BINS)) * 0.2
     assert codes(unexplained_residual(w, data(), PAIRS)) == []
+
+
+def pushes(begins_s: Sequence[Sequence[float]], bearing: float, size: float) -> np.ndarray:
+    """Return noise with pulses of half a second that begin at these times, one row for each flight."""
+    w, t = noise(6), BIN_S * np.arange(SEGMENTS * BINS)
+    for flight, row in enumerate(begins_s):
+        on = np.any([(begin <= t) & (t < begin + 0.5) for begin in row], axis=0).reshape(SEGMENTS, BINS)
+        segments = slice(flight * SEGMENTS, (flight + 1) * SEGMENTS)
+        w[segments, :, 0] += size * np.cos(bearing) * on
+        w[segments, :, 1] += size * np.sin(bearing) * on
+    return w
+
+
+def every(period_s: float, phases_s: Sequence[float]) -> list[list[float]]:
+    return [np.arange(phase, SEGMENTS * BINS * BIN_S, period_s).tolist() for phase in phases_s]
+
+
+@pytest.mark.parametrize("bearing", [0.3, 2.0, 4.0])
+@pytest.mark.parametrize("period_s", [2.7, 3.6, 5.0])
+def test_residual_of_pushes_every_few_seconds_pulses(period_s: float, bearing: float) -> None:
+    w = pushes(every(period_s, (0.2, 1.9, 2.4, 0.9)), bearing, 0.3)
+    unexplained = unexplained_residual(w, data(), PAIRS)
+    pulses = unexplained.pulses
+    assert pulses.period_s == pytest.approx(period_s, abs=0.11)
+    assert pulses.bearing_rad == pytest.approx(bearing, abs=0.2)
+    assert pulses.peak_m_s2 == pytest.approx(0.3, rel=0.3)
+    assert Code.FORCE_PULSES in codes(unexplained)
+    assert Code.FORCE_PULSES not in codes(unexplained_residual(0.15 * w, data(), PAIRS))  # below turbulence
+    assert Code.FORCE_PULSES not in codes(unexplained_residual(w, data(), []))
+
+
+def test_residual_of_pushes_in_a_turned_vehicle_pulses_in_the_world() -> None:
+    w = pushes(every(3.6, (0.2, 1.9, 2.4, 0.9)), 0.3, 0.3)
+    turned = data()
+    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = replace(turned, R_ned_frd=np.tile(R.ravel(), (*turned.R_ned_frd.shape[:2], 1)))
+    found = unexplained_residual(w, turned, PAIRS).pulses
+    assert found.bearing_rad == pytest.approx(0.3 + np.pi / 2.0, abs=0.2)
+
+
+def test_residual_of_pushes_that_repeat_or_come_at_random_seldom_pulses() -> None:
+    same = pushes(every(3.6, (0.2, 0.2, 2.4, 2.4)), 0.3, 0.3)
+    assert codes(unexplained_residual(same, data(), PAIRS)) == [Code.FORCE_REPEATS]
+    rng = np.random.default_rng(3)
+    at_random = [
+        unexplained_residual(pushes(rng.uniform(0.0, 11.5, (FLIGHTS, 3)).tolist(), 0.3, 0.3), data(), PAIRS)
+        for _ in range(20)
+    ]
+    assert sum(Code.FORCE_PULSES in codes(each) for each in at_random) <= 4
 
 
 def test_residual_of_a_line_of_random_phase_rings() -> None:

@@ -64,6 +64,7 @@ def build_repeat_flights(*, rate_driven: bool = False) -> Segments:
         flight=np.repeat([0, 1], COUNT),
         start_s=np.tile(np.arange(COUNT) * BINS * BIN_S, 2),
         p_ned=np.zeros((n, STEPS, 3)),
+        R_ned_frd=np.tile(np.eye(3).ravel(), (n, STEPS, 1)),
         rate_frd=np.zeros((n, STEPS, 3)),
         rate_weight=np.ones((n, STEPS)),
         command=np.zeros((n, STEPS + 5, 4)),
