@@ -46,8 +46,12 @@ from trimtab.host.trace.uncertainty import inflated_flight_covariance, inflated_
 Method = Literal["segments", "closed-loop"]
 Fit = TypeVar("Fit", bound=Fitted)
 
-_GUESSED_EFFECTS = 4
+_GUESSED_EFFECTS = 3
 """Most effects of a set that segments suggest."""
+_GUESS_ITERATIONS = 2
+"""Gauss-Newton steps of its fit to segments, from which the fit to whole flights starts."""
+_LACKING_SHARE = 0.1
+"""Share of what the best such set gains that a smaller one may lack."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -275,16 +279,22 @@ def best_predicting(
 def guessed_from_segments(
     segments: SegmentFitter, null_fit: SegmentFit, fitter: FlightFitter
 ) -> FlightFit | None:
-    """Return a fit to whole flights that starts from the set which explains the segments best.
+    """Return a fit to whole flights of the smallest set that explains most of what segments show.
 
     If flights end far from their prediction, the linearisation there says little about them. That of segments
     holds, since each begins at the measured state. Returns None if the model cannot be rolled out there.
     """
     score, *_ = segments.scorers(null_fit)
-    names = most_probable(screen(segments.space, score, _GUESSED_EFFECTS))
-    fit = segments.fit(names, null_fit)
-    shown = tuple(name for name in fit.effects if name in fitter.space.candidates)
+    scores = screen(segments.space, score, _GUESSED_EFFECTS)
+    best = max(scores.values())
+    least = best - _LACKING_SHARE * (best - scores[()])
+    names = min(
+        (names for names, value in scores.items() if value >= least),
+        key=lambda names: (len(names), -scores[names], names),
+    )
+    shown = tuple(name for name in names if name in fitter.space.candidates)
     try:
+        fit = refit(segments.segment_model, null_fit.data, names, null_fit, iterations=_GUESS_ITERATIONS)
         return fit_closed_loop(fitter.loop, shown, fit.theta_scaled, fitter.order)
     except RollOutDiverged:
         return None

@@ -139,6 +139,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
     },
     "selection.py": {
         "_GUESSED_EFFECTS": "depth of the screening for a starting point",
+        "_GUESS_ITERATIONS": "number of Gauss-Newton iterations",
+        "_LACKING_SHARE": "share of the gain that a starting point may lack",
     },
     "segment_fit/fit.py": {
         "_CALM": "starting value of the search for the process noise",
