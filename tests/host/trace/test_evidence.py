@@ -142,7 +142,7 @@ def test_variance_factor_scales_the_noise_of_the_sensors_alone(dense: Dense, fac
 
 
 @pytest.mark.parametrize(
-    ("ratio", "expected"), [(0.5, 1.0), (1.0, 1.0), (RULES.usual_variance_factor, 1.0), (5.0, 4.0)]
+    ("ratio", "expected"), [(0.5, 1.0), (1.0, 1.0), (RULES.usual_variance_factor, 1.0), (6.0, 4.0)]
 )
 def test_variance_factor_is_the_excess_over_the_usual(dense: Dense, ratio: float, expected: float) -> None:
     lin = replace(dense.lin, freedom=100)
