@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import tomllib
 from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
@@ -11,6 +10,7 @@ import numpy as np
 
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle.strict_toml import read_strict
 from trimtab.sitl.draw import draw_world
 from trimtab.sitl.plant_constants import SHOWN_BY, plant_parameters
 from trimtab.sitl.world import WorldFile
@@ -26,7 +26,7 @@ def brought_effects(truth: Mapping[str, Any], vehicle: Vehicle, space: Parameter
     candidates = {other for name in drawn for other in space.effects[name].comes_with} - set(drawn)
     if truth["plant"] is not None or not candidates:
         return frozenset()
-    file = WorldFile.model_validate(tomllib.loads(truth["file"]))
+    file = read_strict(truth["file"], truth["world"], WorldFile)
     world = draw_world(truth["world"], file, truth["seed"], vehicle)
     with_them, without = (plant_parameters(vehicle, w) for w in (world, replace(world, effects={})))
 

@@ -124,6 +124,8 @@ def test_a_centre_of_mass_that_a_mass_moves_is_neither_right_nor_wrong() -> None
         head = 'description = "a test"\ntolerances = true\n'
         return {"world": "test", "file": head + file, "seed": 3, "plant": None, "effects": named}
 
+    drawn = truth('[draw]\ncount = [1, 1]\nkinds = ["mass"]\nsize = [3.0, 4.0]\n', mass={"factor": 1.3})
+    assert brought_effects(drawn, VEHICLE, SPACE) == {"com-offset"}
     heavy = truth("[effects.mass]\nfactor = 1.3\n", mass={"factor": 1.3})
     light = truth("[effects.mass]\nfactor = 1.01\n", mass={"factor": 1.01})
     lag = truth("[effects.motor-lag]\nextra_s = 0.02\n", motor_lag={"extra_s": 0.02})
