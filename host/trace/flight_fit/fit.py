@@ -42,7 +42,7 @@ _WHITENING_SETTLED = 0.03
 _ITERATIONS = 24
 """Greatest number of iterations. Few fits need more than six: those in which the law is often at a limit."""
 
-_STALLED_NATS = 0.5
+_STALLED_NATS = 0.1
 """A fit also ends if a step gains less."""
 
 _GIVEN_WHITENING_ITERATIONS = 6
