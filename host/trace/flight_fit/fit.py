@@ -154,20 +154,12 @@ def fit_closed_loop(
         if small and known:
             end, missed_nats = space.clipped(theta_scaled + step), 0.0
             break
-        line = _Line(
-            loop=loop,
-            white=white,
-            precision=precision,
-            theta_scaled=theta_scaled,
-            step=step,
-            base=base,
-            gram=grams.sum(0),
+        end, residuals, gain_nats, missed_nats = _line_search(
+            loop, white, precision, theta_scaled, step, base, grams.sum(0)
         )
-        end, residuals, gain_nats = line.search()
         stalled = gain_nats < _STALLED_NATS
         iteration += 1
         if (stalled and known) or iteration == _ITERATIONS:
-            missed_nats = line.promised_nats - gain_nats  # the linearisation holds only in a part of the step
             break
         theta_scaled, base, afresh = end, residuals, small or stalled
     return FlightFit(
@@ -249,60 +241,49 @@ def loop_discrepancy(space: ParameterSpace) -> Annotated[np.ndarray, "parameters
     return np.array([column.loop_discrepancy for column in space.columns])
 
 
-@dataclass(frozen=True, kw_only=True, eq=False)
-class _Line:
-    """A Gauss-Newton step from theta_scaled, and the search for the best point along it.
+def _line_search(
+    loop: ClosedLoop,
+    white: Whitening,
+    precision: np.ndarray,
+    theta_scaled: np.ndarray,
+    step: np.ndarray,
+    base: Sequence[np.ndarray],
+    gram: np.ndarray,
+) -> tuple[np.ndarray, list[np.ndarray], float, float]:
+    """Return the best point along `step` by full roll-outs, the residuals there, and two gains in nats.
 
-    base: residual (bins, 12) of each flight at theta_scaled. gram: of the whitened [residual | slopes].
+    They are the gain of that point, and by how much the linearisation promises more for the whole step.
+
+    The first candidate is the whole step. If it gains less than _ENOUGH of what the linearisation promises,
+    the candidates are theta_scaled itself, and theta_scaled plus the shares _LINE of `step`. base:
+    residual (bins, 12) of each flight at theta_scaled. gram: of the whitened [residual | slopes].
     """
 
-    loop: ClosedLoop
-    white: Whitening
-    precision: Annotated[np.ndarray, "parameters"]
-    theta_scaled: Annotated[np.ndarray, "parameters"]
-    step: Annotated[np.ndarray, "parameters"]
-    base: Sequence[np.ndarray]
-    gram: Annotated[np.ndarray, "columns columns"]
+    def costs(points: np.ndarray, whole: Sequence[np.ndarray]) -> np.ndarray:
+        known = loop.known
+        squares = loop.each(lambda index: (whitened(white, whole[index], known[index]) ** 2).sum(1))
+        cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
+        return cost if loop.speeds is None else cost + loop.speeds.squares(points)
 
-    @property
-    def promised_nats(self) -> float:
-        """Gain of the whole step in the linearisation."""
-        rhs = self.gram[0, 1:] - self.precision * self.theta_scaled
-        curvature = self.step @ self.gram[1:, 1:] @ self.step + self.precision @ self.step**2
-        return float(rhs @ self.step - 0.5 * curvature)
-
-    def search(self) -> tuple[np.ndarray, list[np.ndarray], float]:
-        """Return the best point by full roll-outs, the residuals there, and the gain in nats.
-
-        The first candidate is the whole step. If it gains less than _ENOUGH of what the linearisation
-        promises, the candidates are theta_scaled itself, and theta_scaled plus the shares _LINE of the step.
-        """
-        points, residuals, cost = self._along((1.0,))
-        start = self._costs(self.theta_scaled[:, None], [r[None] for r in self.base])[0]
-        if not start - cost[0] > _ENOUGH * 2.0 * self.promised_nats:
-            more, more_residuals, more_cost = self._along(_LINE)
-            points, cost = np.column_stack([points, more]), np.concatenate([cost, more_cost])
-            residuals = [np.concatenate(pair) for pair in zip(residuals, more_residuals, strict=True)]
-        best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
-        if not cost[best] < start:
-            return self.theta_scaled, list(self.base), 0.0
-        return points[:, best], [r[best].copy() for r in residuals], 0.5 * float(start - cost[best])
-
-    def _along(self, shares: Sequence[float]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
+    def along(shares: Sequence[float]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Return the points at these shares of the step, the residuals there, and the costs."""
-        at = [self.loop.space.clipped(self.theta_scaled + share * self.step) for share in shares]
-        points = np.column_stack(at)
-        residuals = self.loop.residuals(points)
-        return points, residuals, self._costs(points, residuals)
+        points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in shares])
+        residuals = loop.residuals(points)
+        return points, residuals, costs(points, residuals)
 
-    def _costs(self, points: np.ndarray, residuals: Sequence[np.ndarray]) -> np.ndarray:
-        """Return -2 log of the posterior density at points (parameters, lanes), up to a constant."""
-        known, speeds = self.loop.known, self.loop.speeds
-        squares = self.loop.each(
-            lambda index: (whitened(self.white, residuals[index], known[index]) ** 2).sum(1)
-        )
-        cost = (self.precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
-        return cost if speeds is None else cost + speeds.squares(points)
+    downhill = gram[0, 1:] - precision * theta_scaled
+    promised_nats = float(downhill @ step - 0.5 * (step @ gram[1:, 1:] @ step + precision @ step**2))
+    points, residuals, cost = along((1.0,))
+    start = costs(theta_scaled[:, None], [r[None] for r in base])[0]
+    if not start - cost[0] > _ENOUGH * 2.0 * promised_nats:
+        more, more_residuals, more_cost = along(_LINE)
+        points, cost = np.column_stack([points, more]), np.concatenate([cost, more_cost])
+        residuals = [np.concatenate(pair) for pair in zip(residuals, more_residuals, strict=True)]
+    best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
+    if not cost[best] < start:
+        return theta_scaled, list(base), 0.0, promised_nats
+    gain_nats = 0.5 * float(start - cost[best])
+    return points[:, best], [r[best].copy() for r in residuals], gain_nats, promised_nats - gain_nats
 
 
 def fit_with_whitening(
