@@ -90,9 +90,14 @@ def most_parsimonious(result: SearchResult[F], within_nats: float) -> Names:
     supported = {
         names: value for names, value in result.log_evidence.items() if names in result.posterior_weights
     }
-    top = max(supported.values())
-    close = [names for names, value in supported.items() if value >= top - within_nats]
-    return min(close, key=lambda names: (len(names), -supported[names], names))
+    return smallest_within(supported, within_nats)
+
+
+def smallest_within(scores: Mapping[Names, float], nats: float) -> Names:
+    """Return the smallest set whose score is within `nats` of the greatest; of equal ones, the best."""
+    top = max(scores.values())
+    close = [names for names, score in scores.items() if score >= top - nats]
+    return min(close, key=lambda names: (len(names), -scores[names], names))
 
 
 def most_probable(weights: Mapping[Names, float]) -> Names:

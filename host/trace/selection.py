@@ -32,6 +32,7 @@ from trimtab.host.trace.search import (
     screen,
     search,
     sizes,
+    smallest_within,
 )
 from trimtab.host.trace.segment_fit.fit import (
     SegmentFit,
@@ -184,13 +185,13 @@ def _from_segments(
     segment_model = fitter.segment_model
     space = segment_model.space
     result = search(fitter, start, on_progress)
-    fit = result.selected
-    present = present_effects(fitter, fit, inflated_segment_covariance(space, fit))
-    if present != fit.effects:
-        result = without_contradicted(result, set(fit.effects) - set(present))
-        result = replace(result, selected=fitter.fit(present, fit))
-    selected = replace(result.selected, covariance=inflated_segment_covariance(space, result.selected))
-    prior = segment_model.space.prior
+    covariance = inflated_segment_covariance(space, result.selected)
+    confirmed = with_present_effects(result, fitter, result.selected, covariance)
+    if confirmed is not result:
+        result = confirmed
+        covariance = inflated_segment_covariance(space, result.selected)
+    selected = replace(result.selected, covariance=covariance)
+    prior = space.prior
     gram = evidence.marginal_grams(selected.lin, selected.process, prior).flight_grams.sum(0)
     return Diagnosis(
         selected=selected,
@@ -199,7 +200,7 @@ def _from_segments(
         inclusion_probability=result.inclusion_probability,
         posterior_weights=result.posterior_weights,
         log_evidence=result.log_evidence,
-        detectability=detectability(segment_model.space, gram, prior.precision(selected.effects)),
+        detectability=detectability(space, gram, prior.precision(selected.effects)),
     )
 
 
@@ -231,11 +232,13 @@ def _from_flights(
     result = without_payload_artefacts(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
     references = flights_by_reference(repeat_flights, len(flights))
-    present = present_effects(fitter, fit, inflated_flight_covariance(space, fit, references))
-    if present != fit.effects:  # this fit determines sizes more accurately than the search
-        result = without_contradicted(result, set(fit.effects) - set(present))
-        result = replace(result, selected=fitter.fit(present, result.selected))
+    covariance = inflated_flight_covariance(space, fit, references)
+    # This fit determines sizes more accurately than the search.
+    confirmed = with_present_effects(result, fitter, fit, covariance)
+    if confirmed is not result:
+        result = confirmed
         fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
+        covariance = inflated_flight_covariance(space, fit, references)
     judged = (
         fit if selected_set_is_judged(result) else fitter.fit(most_probable(result.posterior_weights), fit)
     )
@@ -244,7 +247,6 @@ def _from_flights(
         for theta_scaled in (judged.theta_scaled, neutral)
     )
     del loop, fitter  # they hold much memory
-    covariance = inflated_flight_covariance(space, fit, references)
     selected = at_parameters(
         segment_model, null_fit, fit.effects, fit.theta_scaled, covariance, fit.log_evidence
     )
@@ -286,18 +288,30 @@ def guessed_from_segments(
     """
     score, *_ = segments.scorers(null_fit)
     scores = screen(segments.space, score, _GUESSED_EFFECTS)
-    best = max(scores.values())
-    least = best - _LACKING_SHARE * (best - scores[()])
-    names = min(
-        (names for names, value in scores.items() if value >= least),
-        key=lambda names: (len(names), -scores[names], names),
-    )
+    names = smallest_within(scores, _LACKING_SHARE * (max(scores.values()) - scores[()]))
     shown = tuple(name for name in names if name in fitter.space.candidates)
     try:
         fit = refit(segments.segment_model, null_fit.data, names, null_fit, iterations=_GUESS_ITERATIONS)
         return fit_closed_loop(fitter.loop, shown, fit.theta_scaled, fitter.order)
     except RollOutDiverged:
         return None
+
+
+def with_present_effects(
+    result: SearchResult[Fit],
+    fitter: Fitter[Fit],
+    fit: Fit,
+    covariance: Annotated[np.ndarray, "parameters parameters"],
+) -> SearchResult[Fit]:
+    """Return the result without the effects of `fit` that are not present; `result` itself if all are.
+
+    fit: of the selected set. covariance: see `present_effects`.
+    """
+    present = present_effects(fitter, fit, covariance)
+    if present == fit.effects:
+        return result
+    result = without_contradicted(result, set(fit.effects) - set(present))
+    return replace(result, selected=fitter.fit(present, result.selected))
 
 
 def present_effects(

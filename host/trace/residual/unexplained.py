@@ -240,9 +240,10 @@ def _pulses(
     variance, pairs = np.zeros(len(periods)), np.zeros(len(periods))
     power, cubes, count = np.zeros(_DIRECTIONS), np.zeros(_DIRECTIONS), 0
     for first, second in repeat_flights:
-        both = [_series(force[flight == each], start_s[flight == each]) for each in (first, second)]
-        if min(len(x) for _, x in both) == 0:
+        masks = [flight == first, flight == second]
+        if not all(mask.any() for mask in masks):
             continue
+        both = [_series(force[mask], start_s[mask]) for mask in masks]
         begin = max(k for k, _ in both)
         a, b = (x[begin - k :] @ towards for k, x in both)
         length = min(len(a), len(b))
@@ -281,8 +282,6 @@ def _series(
     force: Annotated[np.ndarray, "segments bins 2"], start_s: Annotated[np.ndarray, "segments"]
 ) -> tuple[int, Annotated[np.ndarray, "n 2"]]:
     """Return the bin at which a flight's segments begin, and their force bin by bin; 0 in gaps."""
-    if not len(force):
-        return 0, np.zeros((0, 2))
     at = np.round(start_s / BIN_S).astype(int)
     x = np.zeros((int(at.max() - at.min()) + force.shape[1], 2))
     for k, segment in zip(at - at.min(), force, strict=True):
