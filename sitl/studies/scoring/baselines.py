@@ -66,21 +66,24 @@ def judge_others(folder: Path, programme: Programme) -> dict[str, Any]:
     used = programme.logs(programme.learning)
     series = _series(vehicle, chosen, [read_flight(folder / "flights" / log) for log in used])
     found = {"weak SINDy": weak_sindy(chosen, series), "stepwise BIC": stepwise_bic(chosen, series)}
-    judged = {method: _judged(names, kinds, effects) for method, names in found.items()}
+    brought = frozenset(read_json(folder / SCORE)["brought"])
+    judged = {method: _judged(names, kinds, effects, brought) for method, names in found.items()}
     error = _network(folder / "flights", used, programme.logs(programme.held_out))
     judged["network alone"] = {"names": None, "first_right": None, "exact": None, "after_m": error}
     write_json(folder / BASELINES, judged)
     return judged
 
 
-def _judged(names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect]) -> dict[str, Any]:
-    """Compare names, the strongest first, with the truth."""
+def _judged(
+    names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect], brought: frozenset[str]
+) -> dict[str, Any]:
+    """Compare names, the strongest first, with the truth, by the rules for our verdicts."""
     names = list(dict.fromkeys(name.partition(".")[0] for name in names))
-    truth = collapsed(kinds, kinds, effects)
+    truth, counted = collapsed(kinds, kinds, effects), collapsed(names, kinds, effects, brought)
     return {
         "names": names,
         "first_right": bool(names) and collapsed(names[:1], kinds, effects) <= truth,
-        "exact": bool(names) and collapsed(names, kinds, effects) == truth,
+        "exact": bool(names) and counted == truth,
         "after_m": None,
     }
 

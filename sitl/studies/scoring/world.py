@@ -138,7 +138,8 @@ def judge(
     possible = set[str]() if named else {p["name"] for p in answer.get("possible", ())}
     aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
-    right = set(first[:1]) <= set(kinds) or alike(first[:1]) <= truth
+    leading = collapsed(first[:1], kinds, effects)
+    right = set(first[:1]) <= set(kinds) or leading <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)
     sizes = [1 + len(alike(a["name"] for a in e["aliases"]) - alike([e["name"]])) for e in named]
     if possible:
@@ -149,7 +150,7 @@ def judge(
         "errors": verdict["errors"][-500:] if verdict["exit_code"] else "",
         "verdict": said,
         "named": first,
-        "first": (sorted(alike(first[:1])) or [None])[0],
+        "first": (sorted(leading) or [None])[0],
         "aliases": sorted(aliases),
         "reasons": answer.get("reasons", []),
         "identifiable": identifiable,

@@ -140,6 +140,8 @@ def test_a_centre_of_mass_that_a_mass_moves_is_neither_right_nor_wrong() -> None
     assert judge(["mass", "com-offset"], said, CLEAR, EFFECTS, brought)["exact"]
     alone = verdict("traced", "com-offset")
     assert not judge(["mass"], alone, CLEAR, EFFECTS, brought)["exact"]
+    assert not judge(["mass"], alone, CLEAR, EFFECTS, brought)["top1"]
+    assert judge(["mass"], alone, CLEAR, EFFECTS, brought)["first"] == "com-offset"
     rows = probability_rows(said["answer"], ["mass"], EFFECTS, brought)
     assert [row["name"] for row in rows] == ["thrust-over-mass"]
 
