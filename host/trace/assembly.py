@@ -193,12 +193,13 @@ def far_adjustments(space: ParameterSpace, model: Model) -> tuple[Finding, ...]:
 def _speeds(data: Segments) -> Annotated[np.ndarray, "pairs"]:
     """Return the mean speed from each pose to the first of its segment that is at least SPEED_S later."""
     span = round(SPEED_S / data.dt_s)
+    stamp_s = data.dt_s * np.arange(data.steps) + data.shift_s
     speeds = []
-    for p, weight in zip(data.p_ned, data.pose_weight, strict=True):
+    for p, t, weight in zip(data.p_ned, stamp_s, data.pose_weight, strict=True):
         posed = np.flatnonzero(weight > 0)
         later = np.searchsorted(posed, posed + span)
         first, second = posed[later < len(posed)], posed[later[later < len(posed)]]
-        speeds.append(np.linalg.norm(p[second] - p[first], axis=1) / ((second - first) * data.dt_s))
+        speeds.append(np.linalg.norm(p[second] - p[first], axis=1) / (t[second] - t[first]))
     return np.concatenate(speeds)
 
 

@@ -45,7 +45,7 @@ class Errors:
     """Prediction errors of one flight at times t_s in s.
 
     flight: id of the log. reference_id: id of its reference. p_error_ned in m and v_error_ned in m/s:
-    measured minus predicted, NED. p_predicted_ned, p_measured_ned: positions in m, NED.
+    measured minus predicted, NED. p_predicted_ned: position in m, NED.
     """
 
     flight: str
@@ -54,7 +54,6 @@ class Errors:
     p_error_ned: Annotated[np.ndarray, "times 3"]
     v_error_ned: Annotated[np.ndarray, "times 3"]
     p_predicted_ned: Annotated[np.ndarray, "times 3"]
-    p_measured_ned: Annotated[np.ndarray, "times 3"]
 
 
 def rmse(errors: Sequence[Errors]) -> dict[str, float]:
@@ -173,7 +172,6 @@ def _predict(
                 p_error_ned=p - predicted[:, :3],
                 v_error_ned=v - predicted[:, 3:6],
                 p_predicted_ned=predicted[:, :3],
-                p_measured_ned=p,
             )
         )
     return out
@@ -216,18 +214,19 @@ def predict_segments(
         segment_model, data, x0.T[:, None, :], theta_scaled[:, None], nuisances[data.flight].T[:, None, :]
     )
     predicted = np.transpose(rolled[:, :3, 0, :], (2, 0, 1))
-    speed = np.gradient(predicted, DT_S, axis=1)
+    # Predictions are those at the stamps of the poses, which need not be equidistant.
+    stamp_s = data.start_s[:, None] + DT_S * np.arange(data.steps) + data.shift_s
+    speed = np.stack([np.gradient(p, t, axis=0) for p, t in zip(predicted, stamp_s, strict=True)])
     posed = data.pose_weight > 0
     posed[:, :lead] = False
     out = []
     for index, each in enumerate(flights):
         t, p, v = motion(each)
         mask = posed & (data.flight == index)[:, None]
-        grid = data.start_s[:, None] + spans[index, 0] + DT_S * np.arange(data.steps)
-        # Positions are predicted at the stamps of the poses, speeds at the times of the grid.
-        pose_s, grid_s = (grid + data.shift_s)[mask], grid[mask]
-        measured = np.column_stack([np.interp(pose_s, t, p[:, i]) for i in range(3)])
-        velocity = np.column_stack([np.interp(grid_s, t, v[:, i]) for i in range(3)])
+        pose_s = stamp_s[mask] + spans[index, 0]
+        measured, velocity = (
+            np.column_stack([np.interp(pose_s, t, axis) for axis in moved.T]) for moved in (p, v)
+        )
         out.append(
             Errors(
                 flight=each.flight.id,
@@ -236,7 +235,6 @@ def predict_segments(
                 p_error_ned=measured - predicted[mask],
                 v_error_ned=velocity - speed[mask],
                 p_predicted_ned=predicted[mask],
-                p_measured_ned=measured,
             )
         )
     return tuple(out)

@@ -193,14 +193,16 @@ def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str
     inside = slice(first, first + steps)
     pose = grid.pose[inside]
     posed = pose >= 0
-    pose = np.where(posed, pose, 0)
+    t_s = grid.t_s[inside]
+    pose = np.where(posed, pose, _nearest(s.pose_s, t_s))
+    between = np.column_stack([np.interp(t_s, s.pose_s, axis) for axis in s.p_ned.T])
     rate_covered = grid.rate_share[inside] > RULES.min_coverage
     return {
         "in_newton": s.in_newton,
         "x0": _initial(s, grid.t_s[first], grid.rate_frd[first] if rate_covered[0] else None),
-        "p_ned": s.p_ned[pose],
+        "p_ned": np.where(posed[:, None], s.p_ned[pose], between),
         "R_ned_frd": s.R_ned_frd[pose].reshape(steps, 9),
-        "shift_s": np.where(posed, s.pose_s[pose] - grid.t_s[inside], 0.0),
+        "shift_s": np.where(posed, s.pose_s[pose] - t_s, 0.0),
         "pose_weight": posed.astype(float),
         "rate_frd": grid.rate_frd[inside],
         "rate_weight": rate_covered * (0.0 if rate_driven else 1.0),
@@ -211,6 +213,13 @@ def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str
         "disturbance_frd": np.zeros((round(steps * DT_S / BIN_S), 6)),
         "path_start_s": np.array(grid.t_s[first] - s.pose_s[0]),
     }
+
+
+def _nearest(
+    pose_s: Annotated[np.ndarray, "poses"], t_s: Annotated[np.ndarray, "times"]
+) -> Annotated[np.ndarray, "times"]:
+    """Return the index of the pose that is nearest to each time."""
+    return np.searchsorted(0.5 * (pose_s[1:] + pose_s[:-1]), t_s)
 
 
 def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:

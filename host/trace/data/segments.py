@@ -29,9 +29,10 @@ class Segments:
     x0
         Initial states: p, v NED, Euler angles Theta, body rate FRD.
     p_ned, R_ned_frd
-        Position in m and attitude, row-major, of the pose nearest to each grid point.
+        Position in m and attitude, row-major, of the pose nearest to each grid point. Where no pose is within
+        half a step, the position is interpolated, and the attitude is that of the nearest pose.
     shift_s
-        Time from the grid point to that pose.
+        Time from the grid point to that pose; 0 where there is none.
     pose_weight, rate_weight, force_weight
         Weights of pose, body rate and specific force; 0 where there is no measurement.
     rate_frd, force_frd

@@ -81,8 +81,6 @@ def bins_of(
 
     names = [name or f"flight {index}" for index, name in enumerate(references)]
     number = {name: k for k, name in enumerate(dict.fromkeys(names))}
-    posed = data.pose_weight > 0
-    p, R = _filled(data.p_ned, posed), _filled(data.R_ned_frd, posed)
     command = data.command[:, -data.steps :]
     rotors = nominal_thrust(vehicle, command, in_newton=data.in_newton)
     start = np.repeat(data.start_s, bins)
@@ -93,22 +91,12 @@ def bins_of(
         reference=np.array([number[name] for name in names])[flight],
         t_s=start + np.tile(BIN_S * (np.arange(bins) + 0.5), count),
         w=w.reshape(-1, 6),
-        R=R.reshape(count, bins, per_bin, 9)[:, :, middle].reshape(-1, 3, 3),
-        p=means(p),
-        v=means(np.gradient(p, data.dt_s, axis=1)),
+        R=data.R_ned_frd.reshape(count, bins, per_bin, 9)[:, :, middle].reshape(-1, 3, 3),
+        p=means(data.p_ned),
+        v=means(np.gradient(data.p_ned, data.dt_s, axis=1)),
         rate=means(data.rate_frd),
         rotors=means(rotors) / vehicle.mass_kg,
     )
-
-
-def _filled(values: np.ndarray, known: np.ndarray) -> np.ndarray:
-    """Return values (segments, steps, k) with unknown steps interpolated; known: mask (segments, steps)."""
-    steps = np.arange(known.shape[1])
-    out = np.empty(values.shape)
-    for k, mask in enumerate(known):
-        for i in range(values.shape[2]):
-            out[k, :, i] = np.interp(steps, steps[mask], values[k, mask, i])
-    return out
 
 
 def features_of(bins: Bins) -> dict[str, tuple[np.ndarray, tuple[str, ...], str, bool]]:

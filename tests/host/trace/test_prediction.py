@@ -63,7 +63,14 @@ def test_predicted_and_measured_positions_are_of_the_same_time(tmp_path: Path) -
     # Poses 13 ms apart fall between the grid's 10 ms: at 0.5 m/s half a step would show as millimetres.
     errors = errors_of(flight(tmp_path / "odd.mcap", every_us=13_000))
     north = 0.5 * np.sin(errors.t_s)
-    np.testing.assert_allclose(errors.p_measured_ned[:, 0], north, atol=2e-4)
+    np.testing.assert_allclose((errors.p_error_ned + errors.p_predicted_ned)[:, 0], north, atol=2e-4)
+
+
+@pytest.mark.parametrize("every_us", [10_000, 8_000])
+def test_errors_of_predicted_speeds_change_slowly_at_any_rate_of_poses(tmp_path: Path, every_us: int) -> None:
+    """Poses 8 ms apart are up to 4 ms away from the grid: a wrong time step would show as 0.1 m/s."""
+    speed_error = errors_of(flight(tmp_path / "poses.mcap", every_us=every_us)).v_error_ned[:, 0]
+    assert np.quantile(np.abs(np.diff(speed_error)), 0.9) < 0.02
 
 
 def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Path) -> None:

@@ -352,7 +352,6 @@ def build_errors(position_m: float) -> Errors:
         p_error_ned=off,
         v_error_ned=off,
         p_predicted_ned=off,
-        p_measured_ned=off,
     )
 
 

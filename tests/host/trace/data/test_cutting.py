@@ -110,6 +110,17 @@ def test_segments_of_slow_poses_need_fewer_poses(tmp_path: Path) -> None:
     assert audit.left_out == 0
 
 
+def test_steps_between_slow_poses_hold_a_pose_of_their_time(tmp_path: Path) -> None:
+    """The attitude turns the disturbance at every step, so it must not be that of another time."""
+    flight = FlightData.of(read_flight(log(tmp_path / "slow.mcap", every_us=20_000)))
+    data, _ = segments_of([flight], rate_driven=True)
+    t_s = flight.signals.span_s[0] + data.start_s[:, None] + data.dt_s * np.arange(data.steps)
+    assert (data.pose_weight == 0.0).mean() == pytest.approx(0.5, abs=0.02)
+    np.testing.assert_allclose(data.p_ned[..., 0], np.sin(t_s + data.shift_s), atol=1e-4)
+    yaw = np.arctan2(data.R_ned_frd[..., 3], data.R_ned_frd[..., 0])
+    np.testing.assert_allclose(yaw, 0.4 * t_s, atol=0.4 * 0.011)
+
+
 def test_refusal_of_too_few_segments_names_what_was_left_out(tmp_path: Path) -> None:
     flight = read_flight(log(tmp_path / "holes.mcap", holes=True))
     with pytest.raises(LogsRefused, match=r"holes\.mcap: \d+ segments with gaps"):
