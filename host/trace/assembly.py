@@ -251,6 +251,6 @@ def held_out_errors(
     if not added:
         return before, before, before
     theta_scaled = diagnosis.selected.theta_scaled
-    nuisance_only = theta_scaled.copy()
-    nuisance_only[selected_columns] = without_effects[selected_columns]
-    return before, predict(theta_scaled, model), predict(nuisance_only, adjusted)
+    adjustments_only = theta_scaled.copy()
+    adjustments_only[selected_columns] = without_effects[selected_columns]
+    return before, predict(theta_scaled, model), predict(adjustments_only, adjusted)

@@ -9,6 +9,7 @@ import numpy as np
 
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
+from trimtab.host.trace.parameters import RollOutDiverged
 from trimtab.host.trace.residual.unexplained import unexplained_residual
 from trimtab.host.trace.search import Names, most_probable
 from trimtab.host.trace.segment_fit.fit import SegmentFit, disturbance_left, refit, theta_without_effects
@@ -81,26 +82,40 @@ def segment_disagreement_nats(
 ) -> dict[str, float]:
     """Return, for each selected effect, by how many nats segments prefer the set without it.
 
-    null_fit: segment fit without effects. selected: the set, fitted here to the same segments.
+    A set whose model diverges is impossible. If the selected set does, segments confirm none of its effects,
+    and all values are 0. null_fit: segment fit without effects. selected: the set, fitted here to the same
+    segments.
     """
-    whole = refit(segment_model, null_fit.data, selected, null_fit)
-    return {
-        name: refit(segment_model, null_fit.data, tuple(n for n in selected if n != name), whole).log_evidence
-        - whole.log_evidence
-        for name in selected
-    }
+    whole = _fitted(segment_model, null_fit, selected, null_fit)
+    if whole is None:
+        return dict.fromkeys(selected, 0.0)
+    disagreement = {}
+    for name in selected:
+        rest = _fitted(segment_model, null_fit, tuple(n for n in selected if n != name), whole)
+        disagreement[name] = -np.inf if rest is None else rest.log_evidence - whole.log_evidence
+    return disagreement
 
 
 def _remainder(segment_model: SegmentModel, diagnosis: Diagnosis) -> tuple[np.ndarray, Segments]:
     """Return the unexplained disturbance (segments, bins, 6), FRD, and its segments.
 
     It is that of the selected set. If the empty set is selected although it is improbable
-    (`selected_set_is_judged`), it is that of the most probable set.
+    (`selected_set_is_judged`), it is that of the most probable set, or if its model diverges, of none.
     """
     selected = diagnosis.selected
     if selected_set_is_judged(diagnosis):
         return disturbance_left(selected, selected.theta_scaled), selected.data
-    fit = refit(
-        segment_model, diagnosis.null_fit.data, most_probable(diagnosis.posterior_weights), diagnosis.null_fit
-    )
-    return disturbance_left(fit, fit.theta_scaled), fit.data
+    null_fit = diagnosis.null_fit
+    probable = most_probable(diagnosis.posterior_weights)
+    judged = _fitted(segment_model, null_fit, probable, null_fit) or null_fit
+    return disturbance_left(judged, judged.theta_scaled), judged.data
+
+
+def _fitted(
+    segment_model: SegmentModel, null_fit: SegmentFit, effects: Names, start: SegmentFit
+) -> SegmentFit | None:
+    """Return the fit of a set to the segments of `null_fit`; None if its model diverges."""
+    try:
+        return refit(segment_model, null_fit.data, effects, start)
+    except RollOutDiverged:
+        return None

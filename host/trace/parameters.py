@@ -129,6 +129,10 @@ class ParameterSpace:
             for name in self.groups
         }
 
+    def strengths(self, candidate: str) -> list[int]:
+        """Return the indices of the columns that say how strong a candidate is."""
+        return [i for i in self.groups[candidate] if self.columns[i].strength]
+
     def of_predicted_flights(self) -> ParameterSpace:
         """Return the space without the effects of which predictions of whole flights show nothing.
 
@@ -156,27 +160,24 @@ class ParameterSpace:
         """Return the effect of a candidate, which may be only one of its parameters."""
         return self.effects[candidate.partition(".")[0]]
 
-    @property
+    @cached_property
     def parts(self) -> tuple[str, ...]:
         """Names of the effects in the roll-outs, in the order of their columns."""
         return tuple(name for name in self.owners if name in self.effects)
 
-    @property
+    @cached_property
     def scale(self) -> Annotated[np.ndarray, "parameters"]:
         """Scales of the parameters, each in its unit."""
         return np.array([column.scale for column in self.columns])
 
-    @property
+    @cached_property
     def prior(self) -> Prior:
         """Prior of segment fits: its spike combines tolerance and discrepancy, scaled."""
         spike = np.array([np.hypot(c.tolerance / c.scale, c.discrepancy) for c in self.columns])
         return Prior(
             groups=self.groups,
             forms=self.forms,
-            strengths={
-                name: tuple(i for i in self.groups[name] if self.columns[i].strength)
-                for name in self.candidates
-            },
+            strengths={name: tuple(self.strengths(name)) for name in self.candidates},
             spike=spike,
             nuisance_sigma=np.array(self.nuisance_sigma),
             added=self.added,

@@ -52,12 +52,15 @@ class Fitter(Protocol[F]):
         """Return the set `effects` fitted from `start`."""
         ...
 
-    def scorers(self, fit: F) -> list[Score]:
-        """Return functions that score sets by their log evidence in the linearisation of `fit`.
+    def scorer(self, fit: F) -> Score:
+        """Return a function that scores sets by their log evidence in the linearisation of `fit`.
 
-        The last one uses the noise model of `fit`; up to a constant, its score of `fit.effects` is
-        `fit.log_evidence`.
+        Up to a constant, its score of `fit.effects` is `fit.log_evidence`.
         """
+        ...
+
+    def screening_scorers(self, fit: F) -> list[Score]:
+        """Return functions that score sets in the linearisation of `fit` to propose sets to fit."""
         ...
 
     def underrated_extensions(self, fit: F) -> list[Names]:
@@ -114,13 +117,15 @@ def null_probability_of(weights: Mapping[Names, float]) -> float:
 class _Tried(Generic[F]):
     """The sets that a search has fitted, each with the best of its fits.
 
-    starts: by set, the start of its latest fit.
+    starts: by set, the start of its latest fit. nearby: by set, the fit about which `near` was computed, and
+    the scores.
     """
 
     fitter: Fitter[F]
     on_progress: OnProgress
     fits: dict[Names, F]
     starts: dict[Names, F] = field(default_factory=dict)
+    nearby: dict[Names, tuple[F, dict[Names, float]]] = field(default_factory=dict)
 
     def fit(self, names: Names, start: F) -> None:
         """Fit a set, unless its latest fit had the same start."""
@@ -131,6 +136,29 @@ class _Tried(Generic[F]):
         self.on_progress(f"{', '.join(names) or 'no effect'} fitted")
         if names not in self.fits or fit.log_evidence > self.fits[names].log_evidence:
             self.fits[names] = fit
+
+    def select(self) -> tuple[F, dict[Names, float]]:
+        """Return the selected fit, and the scores of all sets near it.
+
+        Scores are log evidences: of the fitted sets, and in the linearisation of the selected fit of others.
+        Fitted but unsupported sets have no score.
+        """
+        supported = {names: fit for names, fit in self.fits.items() if _is_supported(self.fitter, fit)}
+        evidence = {names: fit.log_evidence for names, fit in supported.items()}
+        selected = supported[smallest_within(evidence, RULES.tie_nats)]
+        scores = self.near(selected) | evidence
+        return selected, {n: value for n, value in scores.items() if n in supported or n not in self.fits}
+
+    def near(self, selected: F) -> dict[Names, float]:
+        """Return the scores of sets near the selected one in its linearisation."""
+        about, scores = self.nearby.get(selected.effects, (None, {}))
+        if about is not selected:
+            depth = min(RULES.max_effects, len(selected.effects) + 1)
+            score = self.fitter.scorer(selected)
+            shift = selected.log_evidence - score([selected.effects])[0]
+            scores = {n: value + shift for n, value in screen(self.fitter.space, score, depth).items()}
+            self.nearby[selected.effects] = selected, scores
+        return scores
 
 
 def search(
@@ -152,7 +180,7 @@ def search(
         fits[guess.effects] = current = guess
     for _ in range(2 * RULES.max_effects):
         trials: list[Names] = []
-        for score in fitter.scorers(current):
+        for score in fitter.screening_scorers(current):
             depth = min(RULES.max_effects, len(current.effects) + 2)
             trials += _proposals(screen(space, score, depth), current.effects)
         trials += fitter.underrated_extensions(current)
@@ -163,17 +191,17 @@ def search(
         if best.effects == current.effects:
             break
         current = best
-    selected, scores = _select(fitter, fits)
+    selected, scores = tried.select()
     for names in _underrated_sets(fitter, selected, scores):
         tried.fit(names, selected)
-    selected, scores = _select(fitter, fits)
+    selected, scores = tried.select()
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
     for _ in range(RULES.max_effects):
         promising = most_probable(scores)
         if promising in fits or scores[selected.effects] > scores[promising] - RULES.tie_nats:
             break
         tried.fit(promising, selected)
-        selected, scores = _select(fitter, fits)
+        selected, scores = tried.select()
     # Drop all sets that contain an effect which occurs in no supported fit.
     supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
     unsupported = {name for names in fits for name in names} - supported
@@ -215,7 +243,7 @@ def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, floa
     if not trials:
         return []
     margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
-    score = fitter.scorers(selected)[-1]
+    score = fitter.scorer(selected)
     shift = selected.log_evidence - score([selected.effects])[0]
     found = zip(trials, score(trials), strict=True)
     return [names for names, value in found if value + shift > selected.log_evidence - margin]
@@ -239,13 +267,6 @@ def without_dispensable(selected: Names, weights: Mapping[Names, float]) -> Name
             break
         selected = tuple(other for other in selected if other != name)
     return selected
-
-
-def _select(fitter: Fitter[F], fits: Mapping[Names, F]) -> tuple[F, dict[Names, float]]:
-    """Return the selected fit and the scores of all sets near it."""
-    supported = {names: fit for names, fit in fits.items() if _is_supported(fitter, fit)}
-    selected = _most_parsimonious(supported)
-    return selected, _scores(fitter, selected, supported, frozenset(fits) - frozenset(supported))
 
 
 def screen(space: ParameterSpace, score: Score, depth: int) -> dict[Names, float]:
@@ -292,13 +313,13 @@ def _is_supported(fitter: Fitter[F], fit: F) -> bool:
     negligible drag gives about 0.01 m/s^2, no more than slow turbulence, so wind and turbulence could not be
     distinguished.
     """
-    space = fitter.space
-    if any(space.at_bound(fit.theta_scaled)[i] for name in fit.effects for i in space.groups[name]):
+    space, at_bound = fitter.space, fitter.space.at_bound(fit.theta_scaled)
+    if any(at_bound[i] for name in fit.effects for i in space.groups[name]):
         return False
     size = sizes(fitter, fit)
     carriers = {name for name in fit.effects if size[name] > RULES.carrier_spikes}
     required = (space.effect(name).requires_any for name in fit.effects)
-    return all(tolerances > RULES.present_spikes for tolerances in size.values()) and all(
+    return all(spikes > RULES.present_spikes for spikes in size.values()) and all(
         not any_of or carriers & set(any_of) for any_of in required
     )
 
@@ -308,31 +329,5 @@ def sizes(fitter: Fitter[F], fit: F) -> dict[str, float]:
 
     Sizes are in units of the spike, which combines tolerance and discrepancy.
     """
-    space = fitter.space
-    strengths = {name: [i for i in space.groups[name] if space.columns[i].strength] for name in fit.effects}
-    return {
-        name: max(abs(fit.theta_scaled[i]) / fitter.prior.spike[i] for i in columns)
-        for name, columns in strengths.items()
-    }
-
-
-def _most_parsimonious(fits: Mapping[Names, F]) -> F:
-    """Return the smallest set within RULES.tie_nats of the greatest evidence; of equals, the best."""
-    top = max(fit.log_evidence for fit in fits.values())
-    close = [fit for fit in fits.values() if fit.log_evidence > top - RULES.tie_nats]
-    return min(close, key=lambda fit: (len(fit.effects), -fit.log_evidence, fit.effects))
-
-
-def _scores(
-    fitter: Fitter[F], selected: F, fits: Mapping[Names, F], unsupported: frozenset[Names]
-) -> dict[Names, float]:
-    """Return the log evidence of the fitted sets and, from the linearisation, of sets near the selected one.
-
-    unsupported: fitted but unsupported sets, which get no score.
-    """
-    depth = min(RULES.max_effects, len(selected.effects) + 1)
-    score = fitter.scorers(selected)[-1]
-    shift = selected.log_evidence - score([selected.effects])[0]
-    scores = {names: value + shift for names, value in screen(fitter.space, score, depth).items()}
-    scores.update({names: fit.log_evidence for names, fit in fits.items()})
-    return {names: value for names, value in scores.items() if names not in unsupported}
+    spikes = np.abs(fit.theta_scaled) / fitter.prior.spike
+    return {name: max(spikes[i] for i in fitter.space.strengths(name)) for name in fit.effects}

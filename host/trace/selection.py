@@ -171,7 +171,7 @@ def noise_dependent_effects(fitter: SegmentFitter, null_fit: SegmentFit) -> Name
     space, spikes = fitter.space, np.abs(null_fit.theta_scaled) / fitter.prior.spike
 
     def shown(name: str) -> bool:
-        size = max(spikes[i] for i in space.groups[name] if space.columns[i].strength)
+        size = max(spikes[i] for i in space.strengths(name))
         gain = fitter.start_gain(name, null_fit)
         return size > RULES.noise_dependent_spikes or gain > RULES.worth_fitting_nats
 
@@ -229,7 +229,7 @@ def _from_flights(
         on_progress("a set that segments suggest fitted")
     result = search(fitter, nothing, on_progress, guess=guess)
     on_progress("comparing repeat flights")
-    result = without_payload_artefacts(result, fitter, repeat_flights)
+    result = without_artefacts_of_memory(result, fitter, repeat_flights)
     fit = refit_with_turbulence_whitening(loop, result.selected, autoregression_order, repeat_flights)
     references = flights_by_reference(repeat_flights, len(flights))
     covariance = inflated_flight_covariance(space, fit, references)
@@ -286,8 +286,7 @@ def guessed_from_segments(
     If flights end far from their prediction, the linearisation there says little about them. That of segments
     holds, since each begins at the measured state. Returns None if the model cannot be rolled out there.
     """
-    score, *_ = segments.scorers(null_fit)
-    scores = screen(segments.space, score, _GUESSED_EFFECTS)
+    scores = screen(segments.space, segments.saturated_scorer(null_fit), _GUESSED_EFFECTS)
     names = smallest_within(scores, _LACKING_SHARE * (max(scores.values()) - scores[()]))
     shown = tuple(name for name in names if name in fitter.space.candidates)
     try:
@@ -322,14 +321,13 @@ def present_effects(
     covariance: of the parameters, scaled, as it is reported. The distance of the strengths from neutral must
     exceed RULES.present_sigma in its terms.
     """
-    space, theta_scaled = fitter.space, fit.theta_scaled
-    tolerances = sizes(fitter, fit)
+    space, spikes = fitter.space, sizes(fitter, fit)
     present = []
     for name in fit.effects:
-        strengths = [i for i in space.groups[name] if space.columns[i].strength]
-        size = theta_scaled[strengths]
+        strengths = space.strengths(name)
+        size = fit.theta_scaled[strengths]
         sigma = np.sqrt(size @ np.linalg.solve(covariance[np.ix_(strengths, strengths)], size))
-        if tolerances[name] > RULES.present_spikes and sigma > RULES.present_sigma:
+        if spikes[name] > RULES.present_spikes and sigma > RULES.present_sigma:
             present.append(name)
     return tuple(name for name in present if space.carried(name, present))
 
@@ -337,16 +335,16 @@ def present_effects(
 def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> SearchResult[Fit]:
     """Return the result with at most RULES.open_probability for effects that were found `absent`.
 
-    The sets with such an effect share that probability, those without it the rest.
+    The sets with such an effect share that probability, those without any of them the rest.
     """
     weights = dict(result.posterior_weights)
-    for name in absent:
-        with_it = sum(weight for names, weight in weights.items() if name in names)
-        without = sum(weights.values()) - with_it
-        odds = RULES.open_probability / (1.0 - RULES.open_probability)
-        if 0.0 < odds * without < with_it:
-            factor = odds * without / with_it
-            weights = {n: w * factor if name in n else w for n, w in weights.items()}
+    contradicted = {names for names in weights if not set(absent).isdisjoint(names)}
+    with_one = sum(weight for names, weight in weights.items() if names in contradicted)
+    without = sum(weights.values()) - with_one
+    odds = RULES.open_probability / (1.0 - RULES.open_probability)
+    if 0.0 < odds * without < with_one:
+        factor = odds * without / with_one
+        weights = {n: w * factor if n in contradicted else w for n, w in weights.items()}
     probability = {
         name: min(p, RULES.open_probability) if name in absent else p
         for name, p in result.inclusion_probability.items()
@@ -354,7 +352,7 @@ def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> 
     return replace(result, inclusion_probability=probability, posterior_weights=weights)
 
 
-def without_payload_artefacts(
+def without_artefacts_of_memory(
     result: SearchResult[FlightFit], fitter: FlightFitter, repeat_flights: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
     """Drop effects that explain only the error of an effect with states of its own, such as a slung payload.

@@ -246,6 +246,6 @@ def too_few_segments(findings_by_log: Mapping[str, Sequence[Finding]], count: in
     )
     logs = ", ".join(findings_by_log)
     return (
-        f"{logs}: only {count} usable segments of {segment_s} s; fly longer or log more"
+        f"{logs}: only {count} usable segments of {segment_s:g} s; fly longer or log more"
         f"{reasons and f' ({reasons})'}"
     )

@@ -86,10 +86,8 @@ def _window_means(
     low, high
         Index (n,) of the first pose in each window, and of the first pose after it.
     """
-    knots = np.ravel(np.column_stack([t, t + _WINDOW_S]))
-    order = np.argsort(knots, kind="stable")
     rotor_thrusts = nominal_thrust(vehicle, s.command, in_newton=s.in_newton)
-    edges = np.unique(knots[order])
+    edges = np.unique(np.concatenate([t, t + _WINDOW_S]))
     first, last = np.searchsorted(edges, t), np.searchsorted(edges, t + _WINDOW_S)
 
     def means(interval_s: np.ndarray, value: np.ndarray) -> np.ndarray:

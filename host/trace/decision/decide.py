@@ -194,9 +194,9 @@ def _verdict(
     return Verdict.UNDECIDED if any(aliases.values()) else Verdict.TRACED
 
 
-def is_null_open(null_probability: float, rules: Rules = RULES) -> bool:
+def is_null_open(null_probability: float) -> bool:
     """Return whether it remains possible that the model lacks nothing: its probability exceeds 1/odds."""
-    return null_probability > rules.alias_probability
+    return null_probability > RULES.alias_probability
 
 
 def _aliases(inputs: DecisionInputs, too_little: bool, rules: Rules) -> dict[str, dict[str, float]]:

@@ -59,14 +59,18 @@ class FlightFitter:
         worse = not fit.error_m < RULES.worse_fit_ratio * start.error_m or not np.isfinite(fit.log_evidence)
         return replace(fit, log_evidence=-np.inf) if worse else fit
 
-    def scorers(self, fit: FlightFit) -> list[Score]:
+    def scorer(self, fit: FlightFit) -> Score:
         """Return a function that gives the log evidence of sets in the linearisation of `fit`.
 
         It keeps the whitening of `fit`. For sets with more effects the value is only a hint, since the
         whitening has absorbed a part of what the additional effects explain.
         """
         gram, prior, limits = fit.grams.sum(0), self.prior, self.space.bounds
-        return [lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits, fit.effects)]
+        return lambda sets: evidence.log_evidences(gram, 0.0, fit.at, prior, sets, limits, fit.effects)
+
+    def screening_scorers(self, fit: FlightFit) -> list[Score]:
+        """Return `scorer` alone."""
+        return [self.scorer(fit)]
 
     def underrated_extensions(self, fit: FlightFit) -> list[Names]:
         """Return sets with one more effect that gains much from one of the start values in its effect file.

@@ -141,7 +141,7 @@ def _turbulence(pairs: Sequence[_Pair], order: int) -> Whitening | None:
     """Return the whitening fitted to the differences of `pairs`; None without pairs."""
     if not pairs:
         return None
-    order = min(order, affordable(sum(int(known.sum()) for *_, known in pairs)))
+    order = min(order, affordable([known for *_, known in pairs]))
     return autoregression(
         regressors((first - second) / np.sqrt(2.0), known, order) for first, second, known in pairs
     )

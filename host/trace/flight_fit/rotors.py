@@ -61,17 +61,16 @@ class RotorSpeeds:
     def __init__(self, flights: Sequence[FlightData], vehicle: Vehicle, space: ParameterSpace) -> None:
         self._vehicle, self._space = vehicle, space
         self._flights = [_speeds(data) for data in flights]
-        self._columns = np.array(
-            [i for name in space.parts if space.effects[name].acts_on_rotor_speed for i in space.owners[name]]
-        )
+        acting = [name for name in space.parts if space.effects[name].acts_on_rotor_speed]
+        self._columns = np.array([i for name in acting for i in space.owners[name]], dtype=int)
         self._whitening: tuple[np.ndarray, float] | None = None
         self._at: np.ndarray | None = None
         self._grams = np.zeros(0)
 
     @property
     def present(self) -> bool:
-        """Whether any flight has rotor speeds."""
-        return any(flight is not None for flight in self._flights)
+        """Whether any flight has rotor speeds, and any effect acts on them."""
+        return bool(len(self._columns)) and any(flight is not None for flight in self._flights)
 
     def grams(
         self, theta_scaled: Annotated[np.ndarray, "parameters"]

@@ -9,7 +9,7 @@ keep a slow part; the fits allow for it by `RULES.temper`.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Annotated
@@ -58,9 +58,17 @@ class Whitening:
         return span_of(self.order)
 
 
-def affordable(bins: int) -> int:
-    """Return the greatest order that `bins` known bins determine by RULES.bins_per_order; at least 1."""
-    return max(1, min(len(WINDOWS), bins // RULES.bins_per_order))
+def affordable(known: Collection[Annotated[np.ndarray, "bins"]]) -> int:
+    """Return the greatest order that the bins of flights determine by RULES.bins_per_order; at least 1.
+
+    known: mask of each flight. An order counts the bins that it can use, by `usable_bins`.
+    """
+
+    def usable(order: int) -> int:
+        return sum(len(usable_bins(mask, span_of(order))) for mask in known)
+
+    orders = range(1, len(WINDOWS) + 1)
+    return max((order for order in orders if usable(order) >= order * RULES.bins_per_order), default=1)
 
 
 def span_of(order: int) -> int:

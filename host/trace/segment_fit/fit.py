@@ -118,21 +118,29 @@ class SegmentFitter:
                     )
         return refit(self.segment_model, start.data, effects, start)
 
-    def scorers(self, fit: SegmentFit) -> list[Score]:
-        """Return two functions that give the log evidence of sets in the linearisation of `fit`.
+    def scorer(self, fit: SegmentFit) -> Score:
+        """Return a function that gives the log evidence of sets in the linearisation of `fit`.
 
-        The first uses the process disturbance fitted with every candidate, the second that of `fit`.
+        It uses the process disturbance of `fit`.
         """
-        prior, candidates = self.prior, self.space.candidates
-        saturated = evidence.fit_process(fit.lin, prior, candidates, fit.process)
-        whites = [evidence.marginal_grams(fit.lin, process, prior) for process in (saturated, fit.process)]
-        theta_scaled, limits = fit.lin.theta_scaled, self.space.bounds
-        return [
-            lambda sets, white=white: evidence.log_evidences(
-                white.gram, white.log_det, theta_scaled, prior, sets, limits, fit.effects
-            )
-            for white in whites
-        ]
+        return self._scorer(fit, fit.process)
+
+    def screening_scorers(self, fit: SegmentFit) -> list[Score]:
+        """Return functions like `scorer`, of which the first is `saturated_scorer`."""
+        return [self.saturated_scorer(fit), self.scorer(fit)]
+
+    def saturated_scorer(self, fit: SegmentFit) -> Score:
+        """Return a function like `scorer` that uses the process disturbance fitted with every candidate."""
+        saturated = evidence.fit_process(fit.lin, self.prior, self.space.candidates, fit.process)
+        return self._scorer(fit, saturated)
+
+    def _scorer(self, fit: SegmentFit, process: DisturbanceVariances) -> Score:
+        """Return a function that scores sets in the linearisation of `fit` with this process."""
+        prior, limits = self.prior, self.space.bounds
+        white = evidence.marginal_grams(fit.lin, process, prior)
+        return lambda sets: evidence.log_evidences(
+            white.gram, white.log_det, fit.lin.theta_scaled, prior, sets, limits, fit.effects
+        )
 
     def underrated_extensions(self, fit: SegmentFit) -> list[Names]:
         """Return sets with one more effect that gains much from one of its start values."""

@@ -18,6 +18,7 @@ from trimtab.host.codegen.batch import Batch
 from trimtab.host.codegen.compiler import compiled
 from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
+from trimtab.host.effects.unknowns import THRUST_CURVE
 from trimtab.host.models import dynamics, slots
 from trimtab.host.models.airframe import Part
 from trimtab.host.trace.data.segments import Segments
@@ -131,7 +132,7 @@ class SegmentModel:
 
     def _commanded(self, theta_scaled: Any, command: list) -> list[Scalar]:
         """Return the four rotor thrusts in N that a command drives the rotors to, before the motor lag."""
-        log_gain, linear = self.rolled.by_owner(self._values(theta_scaled)).get("thrust-curve", (0.0, 0.0))
+        log_gain, linear = self.rolled.by_owner(self._values(theta_scaled)).get(THRUST_CURVE, (0.0, 0.0))
         gain = np.exp(log_gain) if isinstance(log_gain, float) else casadi.exp(log_gain)
         thrust_max_n, c1 = self.vehicle.thrust_max_n, self.vehicle.thrust_curve[0] + linear
         if self.in_newton:

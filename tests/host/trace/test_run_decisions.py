@@ -38,12 +38,12 @@ from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.fitter import FlightFitter
 from trimtab.host.trace.flight_fit.whitening import WINDOWS
 from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
-from trimtab.host.trace.parameters import ParameterSpace
+from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
 from trimtab.host.trace.search import Names, SearchResult
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.selection import Method, selected_set_is_judged, without_payload_artefacts
+from trimtab.host.trace.selection import Method, selected_set_is_judged, without_artefacts_of_memory
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
@@ -272,7 +272,7 @@ def without_faults(
         selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
     )
     fitter = KnownLoopFitter(SWINGING)
-    return without_payload_artefacts(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
+    return without_artefacts_of_memory(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> FlightRepeat:
@@ -297,7 +297,7 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
         pytest.param(FAULT * 400.0 * ABOVE, nats(400.0), False, id="repeats-much-just-beyond"),
     ],
 )
-def test_without_payload_artefacts_drops_effects_that_explain_little_beside_a_swing(
+def test_without_artefacts_of_memory_drops_effects_that_explain_little_beside_a_swing(
     monkeypatch: pytest.MonkeyPatch, gap: float, residual: FlightRepeat | None, reduced: bool
 ) -> None:
     outcome = build_search_result(
@@ -316,7 +316,7 @@ def test_without_payload_artefacts_drops_effects_that_explain_little_beside_a_sw
         assert fitter.calls == []
 
 
-def test_without_payload_artefacts_of_a_set_without_swing_is_unchanged(
+def test_without_artefacts_of_memory_of_a_set_without_swing_is_unchanged(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     best = build_closed_fit(("drag", "gain"), log_evidence=100.0)
@@ -326,12 +326,12 @@ def test_without_payload_artefacts_of_a_set_without_swing_is_unchanged(
     assert fitter.calls == []
 
 
-def test_without_payload_artefacts_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_without_artefacts_of_memory_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
     outcome = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
     assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
 
 
-def test_without_payload_artefacts_does_not_take_another_set_of_the_same_size(
+def test_without_artefacts_of_memory_does_not_take_another_set_of_the_same_size(
     monkeypatch: pytest.MonkeyPatch,
 ) -> None:
     outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
@@ -446,7 +446,7 @@ def test_named_thrust_gain_holds_thrust_over_mass_with_its_standard_deviation() 
 
 
 class KnownRefits:
-    """Stand-in for `refit` with known evidence that records its calls."""
+    """Stand-in for `refit` with known evidence that records its calls; other sets diverge."""
 
     def __init__(self, evidence: Mapping[Names, float]) -> None:
         self.evidence = evidence
@@ -456,6 +456,8 @@ class KnownRefits:
         self, segment_model: SegmentModel, data: Any, effects: Names, start: SegmentFit
     ) -> SegmentFit:
         self.calls.append((tuple(effects), start.effects))
+        if tuple(effects) not in self.evidence:
+            raise RollOutDiverged("the model diverges")
         return build_fit(tuple(effects), log_evidence=self.evidence[tuple(effects)])
 
 
@@ -499,6 +501,29 @@ def test_segment_disagreement_compares_each_reduced_set_with_the_whole_set(
         (("gain",), ("drag", "gain")),
         (("drag",), ("drag", "gain")),
     ]
+
+
+@pytest.mark.parametrize(
+    ("evidence", "expected", "absent"),
+    [
+        pytest.param({("gain",): 0.0}, {"drag": 0.0, "gain": 0.0}, [("drag", "gain")], id="the-whole-set"),
+        pytest.param(
+            {("drag", "gain"): 0.0, ("gain",): -50.0},
+            {"drag": -50.0, "gain": -np.inf},
+            [],
+            id="a-reduced-set",
+        ),
+    ],
+)
+def test_a_set_whose_model_diverges_is_confirmed_by_no_segment(
+    monkeypatch: pytest.MonkeyPatch,
+    evidence: Mapping[Names, float],
+    expected: dict[str, float],
+    absent: list[Names],
+) -> None:
+    nats, _ = disagreement(monkeypatch, evidence, ("drag", "gain"))
+    assert nats == expected
+    assert [f.subject for f in segment_disagreement(nats, RULES)] == absent
 
 
 def test_segment_disagreement_of_the_empty_set_is_empty(monkeypatch: pytest.MonkeyPatch) -> None:

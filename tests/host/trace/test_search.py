@@ -50,8 +50,11 @@ class KnownFitter:
             theta_scaled[list(self.space.groups[name])] = self.size
         return Known(names, self.evidence[names], theta_scaled)
 
-    def scorers(self, fit: Known) -> list[Score]:
-        return [lambda sets: [self.believed[names] for names in sets]]
+    def scorer(self, fit: Known) -> Score:
+        return lambda sets: [self.believed[names] for names in sets]
+
+    def screening_scorers(self, fit: Known) -> list[Score]:
+        return [self.scorer(fit)]
 
     def underrated_extensions(self, fit: Known) -> list[Names]:
         return [names for names in self.hidden if set(fit.effects) < set(names)]

@@ -28,7 +28,6 @@ from trimtab.host.trace.search import (
     Names,
     Score,
     _is_supported,
-    _most_parsimonious,
     _proposals,
     _underrated_sets,
     most_parsimonious,
@@ -36,6 +35,7 @@ from trimtab.host.trace.search import (
     null_probability_of,
     search,
     sizes,
+    smallest_within,
     without_dispensable,
 )
 
@@ -120,8 +120,7 @@ def test_most_parsimonious_considers_only_supported_sets() -> None:
 def test_selected_set_is_the_smallest_that_is_not_far_less_probable(
     nats: dict[Names, float], expected: Names
 ) -> None:
-    fits = {names: build_closed_fit(names, log_evidence=value) for names, value in nats.items()}
-    assert _most_parsimonious(fits).effects == expected
+    assert smallest_within(nats, TIE_NATS) == expected
 
 
 WORTH = RULES.worth_fitting_nats
@@ -334,8 +333,11 @@ class KnownEvidence(PriorOnly):
         nats = self.fitted.get(names, -1e3)
         return build_closed_fit(names, log_evidence=nats, theta_scaled=theta_scaled.tolist())
 
-    def scorers(self, fit: FlightFit) -> list[Score]:
-        return [lambda sets: [self.screened.get(tuple(sorted(names)), -1e3) for names in sets]]
+    def scorer(self, fit: FlightFit) -> Score:
+        return lambda sets: [self.screened.get(tuple(sorted(names)), -1e3) for names in sets]
+
+    def screening_scorers(self, fit: FlightFit) -> list[Score]:
+        return [self.scorer(fit)]
 
     def underrated_extensions(self, fit: FlightFit) -> list[Names]:
         return []

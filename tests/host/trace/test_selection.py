@@ -209,6 +209,30 @@ def test_without_contradicted_caps_the_probability_of_what_the_refit_does_not_fi
 @pytest.mark.parametrize(
     ("weights", "expected"),
     [
+        pytest.param(
+            {(): 1.0, ("drag",): 10.0, ("gain",): 10.0, ("drag", "gain"): 80.0},
+            {(): 0.5, ("drag",): 0.05, ("gain",): 0.05, ("drag", "gain"): 0.4},
+            id="both",
+        ),
+        pytest.param(
+            {(): 1.0, ("lag",): 3.0, ("drag",): 12.0, ("gain", "lag"): 4.0},
+            {(): 0.125, ("lag",): 0.375, ("drag",): 0.375, ("gain", "lag"): 0.125},
+            id="beside-another",
+        ),
+    ],
+)
+def test_sets_with_any_contradicted_effect_share_half(
+    weights: dict[Names, float], expected: dict[Names, float]
+) -> None:
+    outcome = replace(build_search_result(build_closed_fit(("drag",))), posterior_weights=weights)
+    found = without_contradicted(outcome, {"drag", "gain"}).posterior_weights
+    total = sum(found.values())
+    assert {names: weight / total for names, weight in found.items()} == pytest.approx(expected)
+
+
+@pytest.mark.parametrize(
+    ("weights", "expected"),
+    [
         pytest.param({(): 0.02, ("drag",): 0.98}, {(): 0.5, ("drag",): 0.5}, id="only-effect"),
         pytest.param({(): 0.8, ("drag",): 0.2}, {(): 0.8, ("drag",): 0.2}, id="improbable-already"),
         pytest.param({("drag",): 1.0}, {("drag",): 1.0}, id="no-set-without-it"),

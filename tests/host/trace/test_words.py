@@ -270,8 +270,8 @@ def test_refusals_name_the_log_and_the_reason() -> None:
         assert text.startswith("one.mcap: ")
         assert mentioned in text
     gaps = Finding(code=Code.SEGMENTS_WITH_GAPS, value=4, unit="segments", log="a")
-    text = too_few_segments({"a": [gaps], "b": []}, 2, 0.6)
-    assert text.startswith("a, b: only 2 usable segments of 0.6 s")
+    text = too_few_segments({"a": [gaps], "b": []}, 2, 0.3 + 0.6)
+    assert text.startswith("a, b: only 2 usable segments of 0.9 s")
     assert "(a: 4 segments with gaps" in text
 
 

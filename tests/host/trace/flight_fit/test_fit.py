@@ -92,7 +92,7 @@ def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace
             assert error < 3.0 * sd[i], column
             assert error < 0.3 * abs(truth[column.owner][column.key] - column.neutral), column
     without = refine.fit_closed_loop(whole, PRESENT[::2], start, fit.whitening.order)
-    (score,) = FlightFitter(loop=whole, order=fit.whitening.order).scorers(without)
+    score = FlightFitter(loop=whole, order=fit.whitening.order).scorer(without)
     # The scores are only hints, since the whitening without motor-lag has absorbed a part of its effect.
     # Their ranking is right.
     others = [name for name in library.candidates if name not in PRESENT]

@@ -106,6 +106,12 @@ def test_age_of_the_speeds_at_their_stamps_is_no_delay_of_the_motors(fly: Fly) -
     assert sd > 0.001
 
 
+def test_speeds_without_an_effect_that_acts_on_them_are_not_used(fly: Fly) -> None:
+    effects = {name: effect for name, effect in load_effects().items() if not effect.acts_on_rotor_speed}
+    flight = FlightData.of(fly(""))
+    assert not RotorSpeeds([flight], VEHICLE, space(VEHICLE, effects)).present
+
+
 def test_flights_without_speeds_have_none_and_beside_others_a_gram_of_zeros(fly: Fly) -> None:
     flight = fly("")
     bare = replace(flight, rotors=None)
