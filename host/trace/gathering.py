@@ -22,8 +22,7 @@ def gather_inputs(
     diagnosis: Diagnosis,
     repeat_flights: Sequence[tuple[int, int]],
     unknown: frozenset[str],
-    tracking_s: float,
-    extent_m: float,
+    tracking: tuple[float, float, float],
 ) -> DecisionInputs:
     """Return the numbers that the verdict depends on.
 
@@ -37,10 +36,11 @@ def gather_inputs(
         Pairs of indices of repeat flights.
     unknown
         What the logs do not determine, as words such as "torque".
-    tracking_s, extent_m
-        Tracking time of all flights, and the greatest extent of one of them along an axis.
+    tracking
+        Result of `trimtab.host.trace.flight_fit.loop.amount_of_tracking`.
     """
     selected, null_fit = diagnosis.selected, diagnosis.null_fit
+    tracking_s, extent_m, pose_interval_s = tracking
     axial = "thrust" not in unknown
     after, before = diagnosis.repeatability
     residual = unexplained_residual(*_remainder(segment_model, diagnosis), repeat_flights, axial=axial)
@@ -73,6 +73,7 @@ def gather_inputs(
         ),
         tracking_s=tracking_s,
         extent_m=extent_m,
+        pose_interval_s=pose_interval_s,
         compared=segment_model.space.rolled is not segment_model.space,
     )
 

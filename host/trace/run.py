@@ -23,7 +23,7 @@ from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import TraceData, observable_effects, read_logs
 from trimtab.host.trace.data.sets import check_sets
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
-from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
+from trimtab.host.trace.flight_fit.loop import amount_of_tracking
 from trimtab.host.trace.gathering import gather_inputs
 from trimtab.host.trace.hover.compare import compare, compares_hovers
 from trimtab.host.trace.joint import JointSpace, joint_space
@@ -106,13 +106,11 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         on_progress("fitting the baseline")
         thrust_known = THRUST not in logs.unknown
         check_baseline(segment_model, data, baseline, logs.repeat_flights, thrust_known=thrust_known)
-    tracking_s, extent_m = tracking_time_and_extent(logs.flights)
-    shortfall = tracking_shortfall(tracking_s, extent_m)
+    tracking = amount_of_tracking(logs.flights)
+    shortfall = tracking_shortfall(*tracking)
     whole_flights = logs.flights if logs.drive == "reference" and shortfall is None else ()
     diagnosis = select_effects(segment_model, data, whole_flights, logs.repeat_flights, on_progress)
-    decision = decide(
-        gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking_s, extent_m)
-    )
+    decision = decide(gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking))
     within_library, null_fit = decision.within_library, diagnosis.null_fit
     named = (
         named_effects(parameters, diagnosis, decision.aliases, decision.probabilities)

@@ -104,6 +104,10 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.HOVER_ONLY: lambda f: (
         "the flights only hover, so tracing used segments instead of whole flights; fly manoeuvres"
     ),
+    Code.POSES_TOO_SLOW: lambda f: (
+        f"the poses of a log are {1e3 * (f.value or 0.0):.0f} ms apart, so tracing used segments instead of "
+        f"whole flights; log one every {1e3 * (f.bound or 0.0):.0f} ms or more often"
+    ),
     Code.EXCESS_FORCE: _excess,
     Code.EXCESS_TORQUE: _excess,
     Code.BETTER_BUT_INADMISSIBLE: lambda f: (

@@ -8,6 +8,7 @@ from itertools import combinations
 from typing import Literal
 
 from trimtab.host.effects import Effect
+from trimtab.host.effects.unknowns import UNKNOWN
 from trimtab.host.log import Flight, is_same_flight
 from trimtab.host.trace.data.sets import unknowns_of_change
 from trimtab.host.trace.data.signals import FlightData, has_signals, unknowns
@@ -64,8 +65,8 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
     """Return the data of all flights, which must be of one vehicle.
 
     vehicle: the vehicle of the flights; that of the first flight if None. Raises LogsRefused for a log of
-    another vehicle, a flight given twice, a held-out flight whose reference is also used, and a log without
-    poses or tracking phase.
+    another vehicle, a flight given twice, a held-out flight whose reference is also used, a log without poses
+    or tracking phase, and one that declares unknown what has no name in `UNKNOWN`.
     """
     first = vehicle or flights[0].vehicle
     by_id: dict[str, FlightData] = {}
@@ -76,6 +77,12 @@ def read_logs(flights: Sequence[Flight], held_out: Sequence[Flight], vehicle: Ve
                 f"{flight.path}: a log of vehicle {flight.vehicle.name} ({flight.vehicle.id}), "
                 f"not of {first.name} ({first.id}): {_differences(flight.vehicle, first)}; "
                 "trace each vehicle's logs separately",
+            )
+        if undefined := unknowns([flight]) - set(UNKNOWN):
+            raise LogsRefused(
+                Code.UNDEFINED_UNKNOWN,
+                f"{flight.path}: metadata entry unknown holds {', '.join(sorted(undefined))}, but only these "
+                f"words are defined: {', '.join(UNKNOWN)}; import the log again",
             )
         for earlier in by_id.values():
             if is_same_flight(earlier.flight, flight):

@@ -63,6 +63,8 @@ class DecisionInputs:
         For each selected effect: by how many nats segments prefer the set without it; empty if not computed.
     tracking_s, extent_m
         Tracking time of all flights, and the greatest extent of one of them along an axis.
+    pose_interval_s
+        Longest median interval between the poses of a flight.
     compared
         Whether two sets of flights were compared. For the verdict `nothing-missing` it must then be more
         probable that nothing changed than that something did.
@@ -85,6 +87,7 @@ class DecisionInputs:
     segment_disagreement_nats: Mapping[str, float]
     tracking_s: float
     extent_m: float
+    pose_interval_s: float
     compared: bool = False
 
     @property
@@ -137,7 +140,7 @@ class Decision:
 def decide(inputs: DecisionInputs, rules: Rules = RULES) -> Decision:
     """Return the verdict on `inputs`, with its findings and alternatives."""
     outside, residual = _outside(inputs, rules)
-    shortfall = tracking_shortfall(inputs.tracking_s, inputs.extent_m, rules)
+    shortfall = tracking_shortfall(inputs.tracking_s, inputs.extent_m, inputs.pose_interval_s, rules)
     aliases = _aliases(inputs, shortfall is not None, rules)
     undecided_reasons = [
         *([] if inputs.has_repeats else excess_disturbance(inputs, rules)),
@@ -232,15 +235,21 @@ def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], Unexp
     return (without, inputs.residual_without) if without else (findings, inputs.residual)
 
 
-def tracking_shortfall(tracking_s: float, extent_m: float, rules: Rules = RULES) -> Finding | None:
+def tracking_shortfall(
+    tracking_s: float, extent_m: float, pose_interval_s: float, rules: Rules = RULES
+) -> Finding | None:
     """Return why flights cannot be fitted whole in closed loop; None if they can.
 
     tracking_s: tracking time of all flights. extent_m: greatest extent of one of them along an axis.
+    pose_interval_s: longest median interval between the poses of one of them.
     """
     if tracking_s < rules.flight_fit_min_s:
         return Finding(code=Code.TRACKING_TOO_SHORT, value=tracking_s, bound=rules.flight_fit_min_s, unit="s")
     if extent_m < rules.hover_extent_m:
         return Finding(code=Code.HOVER_ONLY, value=extent_m, bound=rules.hover_extent_m, unit="m")
+    if pose_interval_s > rules.flight_fit_pose_s:
+        bound = rules.flight_fit_pose_s
+        return Finding(code=Code.POSES_TOO_SLOW, value=pose_interval_s, bound=bound, unit="s")
     return None
 
 

@@ -34,6 +34,7 @@ class Code(StrEnum):
     # Doubts about the flights as a whole.
     TRACKING_TOO_SHORT = "tracking-too-short"
     HOVER_ONLY = "hover-only"
+    POSES_TOO_SLOW = "poses-too-slow"
     EXCESS_FORCE = "excess-force"
     EXCESS_TORQUE = "excess-torque"
     BETTER_BUT_INADMISSIBLE = "better-but-inadmissible"
@@ -77,6 +78,7 @@ class Code(StrEnum):
     MIXED_INPUTS = "mixed-inputs"
     TOO_FEW_POSES = "too-few-poses"
     NO_TRACKING = "no-tracking"
+    UNDEFINED_UNKNOWN = "undefined-unknown"
     BASELINE_OF_ANOTHER_VEHICLE = "baseline-of-another-vehicle"
     BASELINE_OUTSIDE_LIBRARY = "baseline-outside-library"
     SETS_SHARE_A_FLIGHT = "sets-share-a-flight"
@@ -103,6 +105,7 @@ DOUBTS = frozenset(
     {
         Code.TRACKING_TOO_SHORT,
         Code.HOVER_ONLY,
+        Code.POSES_TOO_SLOW,
         Code.EXCESS_FORCE,
         Code.EXCESS_TORQUE,
         Code.BETTER_BUT_INADMISSIBLE,

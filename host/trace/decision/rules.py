@@ -284,6 +284,9 @@ class Rules:
         "Least tracking time for a fit to whole flights: 240 bins of 40 ms, that is 20 bins for each of 12 "
         "channels.",
     )
+    flight_fit_pose_s: float = _rule(
+        0.04, "s", "Longest median interval between poses for a fit to whole flights, whose bins are as long."
+    )
     hover_extent_m: float = _rule(
         0.3, "m", "Extent below which a flight is a hover; whitening removes the constant errors of a hover."
     )

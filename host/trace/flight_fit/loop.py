@@ -20,7 +20,7 @@ from trimtab.host.models.phi import INTEGRAL, Phi
 from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import States
-from trimtab.host.trace.data.signals import FlightData, Signals, states_of
+from trimtab.host.trace.data.signals import FlightData, Signals, pose_interval_s, states_of
 from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, record
 from trimtab.host.trace.flight_fit.rotors import RotorSpeeds
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
@@ -380,10 +380,18 @@ def closed_loop(
     return ClosedLoop(recordings, vehicle, space, speeds=speeds, jobs=jobs)
 
 
-def tracking_time_and_extent(flights: Sequence[FlightData]) -> tuple[float, float]:
-    """Return the tracking time of all flights in s, and the greatest extent of one along a NED axis in m."""
-    spans = [data.signals for data in flights]
-    return sum(s.span_s[1] - s.span_s[0] for s in spans), max(_extent(s) for s in spans)
+def amount_of_tracking(flights: Sequence[FlightData]) -> tuple[float, float, float]:
+    """Return how much the flights track.
+
+    These are the tracking time of all flights in s, the greatest extent of one along a NED axis in m, and the
+    longest median interval between the poses of one in s.
+    """
+    signals = [data.signals for data in flights]
+    return (
+        sum(s.span_s[1] - s.span_s[0] for s in signals),
+        max(_extent(s) for s in signals),
+        max(round(pose_interval_s(s), 6) for s in signals),  # stamps are whole microseconds
+    )
 
 
 def _extent(s: Signals) -> float:

@@ -328,6 +328,7 @@ def build_inputs(selected: Names = (), **changes: Any) -> DecisionInputs:
         "segment_disagreement_nats": {},
         "tracking_s": 60.0,
         "extent_m": 2.0,
+        "pose_interval_s": 0.01,
     }
     probability = {**dict.fromkeys(selected, 1.0), **changes.pop("inclusion_probability", {})}
     return DecisionInputs(selected=selected, inclusion_probability=probability, **{**clear, **changes})

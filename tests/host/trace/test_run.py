@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -22,6 +23,7 @@ from trimtab.host.trace.parameters import space
 from trimtab.host.trace.run import run
 from trimtab.host.trace.segment_fit.fit import refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
+from trimtab.host.trace.selection import Diagnosis
 from trimtab.host.vehicle import Vehicle, load_vehicle
 
 DATA = Path(__file__).parents[2] / "data"
@@ -107,6 +109,21 @@ def test_a_much_better_but_unsupported_set_is_reported() -> None:
     close = {**sets, ("linear-drag", "thrust-inflow"): 7.0}
     assert better_but_unsupported(close, {("linear-drag",): 1.0}, RULES) == []
     assert better_but_unsupported(sets, dict.fromkeys(sets, 1.0), RULES) == []
+
+
+def test_flights_with_slow_poses_are_traced_by_segments() -> None:
+    """At 20 poses in a second, bins of 40 ms are often without one, so no autoregression can be fitted."""
+    effects = load_effects()
+    slow = []
+    for name in ("a1", "a2"):
+        flight = read_flight(DATA / f"{name}.mcap")
+        assert flight.mocap is not None
+        rare = {key: getattr(flight.mocap, key)[::5] for key in ("t_us", "t_arrival_us", "p", "q")}
+        slow.append(replace(flight, mocap=replace(flight.mocap, **rare)))
+    result = run(slow, [], {name: effects[name] for name in ("thrust-gain", "linear-drag")})
+    assert isinstance(result.diagnosis, Diagnosis)
+    assert result.diagnosis.method == "segments"
+    assert Code.POSES_TOO_SLOW in {finding.code for finding in result.findings}
 
 
 def test_segments_disagree_with_an_absent_effect() -> None:

@@ -102,6 +102,14 @@ WRONG = [
     ),
     pytest.param([build_flight("a"), build_flight("a")], [], "a", Code.LOG_GIVEN_TWICE, "a.mcap", id="twice"),
     pytest.param(
+        [replace(build_flight("a"), metadata={"unknown": "thrust size"})],
+        [],
+        "a",
+        Code.UNDEFINED_UNKNOWN,
+        "unknown holds size, but only",
+        id="undefined-unknown",
+    ),
+    pytest.param(
         [build_flight("a")], [build_flight("a")], "a", Code.LOG_GIVEN_TWICE, "a.mcap", id="held-out-and-used"
     ),
     pytest.param(
@@ -569,7 +577,7 @@ def inputs_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, 12.0, 1.5)
+        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, (12.0, 1.5, 0.02))
 
     return gather
 
@@ -601,7 +609,7 @@ def test_inputs_hold_the_diagnosis_and_both_residuals(inputs_of: Any) -> None:
     assert inputs.posterior_weights == {("drag",): 3.0, ("gain",): 1.0}
     assert inputs.inclusion_probability == {"drag": 0.7}
     assert inputs.detectability == {"lag": 2.0}
-    assert (inputs.tracking_s, inputs.extent_m) == (12.0, 1.5)
+    assert (inputs.tracking_s, inputs.extent_m, inputs.pose_interval_s) == (12.0, 1.5, 0.02)
     assert inputs.disturbance_sigma == pytest.approx((0.2, 0.2, 0.3, 0.4, 0.4, 0.4))
     assert (inputs.residual.flight_repeat, inputs.residual_without.flight_repeat) == (AFTER, BEFORE)
     assert (inputs.residual.force.repeat, inputs.residual_without.force.repeat) == (11.0, 12.0)

@@ -89,6 +89,10 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
         ),
         (Finding(code=Code.TRACKING_TOO_SHORT, value=3.44, bound=9.6, unit="s"), ["3.4 s"]),
         (Finding(code=Code.HOVER_ONLY, value=0.1, bound=0.3, unit="m"), ["hover", "manoeuvres"]),
+        (
+            Finding(code=Code.POSES_TOO_SLOW, value=0.05, bound=0.04, unit="s"),
+            ["50 ms apart, so tracing used segments", "every 40 ms"],
+        ),
         (Finding(code=Code.EXCESS_FORCE, value=1.72, bound=0.5, unit="m/s^2"), ["force of 1.7 m/s^2"]),
         (
             Finding(code=Code.EXCESS_TORQUE, value=47.3, bound=3.0, unit="rad/s^2"),
@@ -184,6 +188,7 @@ REFUSALS = {
     Code.MIXED_INPUTS,
     Code.TOO_FEW_POSES,
     Code.NO_TRACKING,
+    Code.UNDEFINED_UNKNOWN,
     Code.BASELINE_OF_ANOTHER_VEHICLE,
     Code.BASELINE_OUTSIDE_LIBRARY,
     Code.SETS_SHARE_A_FLIGHT,

@@ -50,6 +50,7 @@ SHAKEN = (2.0,) * 3 + (0.01,) * 3
 """Standard deviations of a disturbance whose force is far beyond turbulence."""
 SHORT = {"tracking_s": RULES.flight_fit_min_s * BELOW}
 HOVER = {"extent_m": RULES.hover_extent_m * BELOW}
+SLOW = {"pose_interval_s": RULES.flight_fit_pose_s * ABOVE}
 
 DOUBTED: dict[str, dict[str, Any]] = {
     "excess": {"residual": ALONE, "disturbance_sigma": SHAKEN},

@@ -84,6 +84,7 @@ def test_reasons_and_doubts_are_the_documented_codes() -> None:
     assert {str(code) for code in DOUBTS} == {
         "tracking-too-short",
         "hover-only",
+        "poses-too-slow",
         "excess-force",
         "excess-torque",
         "better-but-inadmissible",

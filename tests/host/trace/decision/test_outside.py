@@ -22,6 +22,7 @@ from tests.host.trace.decision.cases import (
     RELATED,
     REPEATING,
     SHORT,
+    SLOW,
     codes_of,
     repeating,
     verdict,
@@ -43,6 +44,7 @@ from trimtab.host.trace.residual.unexplained import SpectralLine, UnexplainedRes
     [
         pytest.param(SHORT, Code.TRACKING_TOO_SHORT, id="short"),
         pytest.param(HOVER, Code.HOVER_ONLY, id="hover"),
+        pytest.param(SLOW, Code.POSES_TOO_SLOW, id="slow-poses"),
         pytest.param({**SHORT, **HOVER}, Code.TRACKING_TOO_SHORT, id="short-hover"),
     ],
 )
@@ -67,6 +69,7 @@ def test_shortfall_alone_does_not_make_the_verdict_undecided(
         pytest.param({"extent_m": RULES.hover_extent_m}, False, id="wide-enough"),
         pytest.param(SHORT, True, id="short"),
         pytest.param(HOVER, True, id="hover"),
+        pytest.param(SLOW, True, id="slow-poses"),
         pytest.param({**SHORT, "by_segments": True, "residual": ALONE}, True, id="short-by-segments"),
     ],
 )

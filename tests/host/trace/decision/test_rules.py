@@ -90,6 +90,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "min_poses": 100,
     "min_tracking_poses": 10,
     "flight_fit_min_s": 9.6,
+    "flight_fit_pose_s": 0.04,
     "hover_extent_m": 0.3,
     "bins_per_order": 168,
     "missing_share": 0.4,
@@ -215,6 +216,7 @@ def test_values_derived_from_the_odds_change_with_them() -> None:
 
 def test_data_limits_are_consistent_with_the_whitening() -> None:
     assert pytest.approx(20 * whitening.CHANNELS * recording.FLIGHT_BIN_S) == RULES.flight_fit_min_s
+    assert RULES.flight_fit_pose_s == recording.FLIGHT_BIN_S
     assert RULES.bins_per_order == 14 * whitening.CHANNELS
 
 

@@ -11,18 +11,19 @@ from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.decide import tracking_shortfall
 from trimtab.host.trace.decision.findings import Code, Finding
 from trimtab.host.trace.decision.rules import RULES
-from trimtab.host.trace.flight_fit.loop import tracking_time_and_extent
+from trimtab.host.trace.flight_fit.loop import amount_of_tracking
 from trimtab.host.trace.sentences import sentence
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 MS = 1e-3
 MM = 1e-3
-MIN_S, HOVER_M = RULES.flight_fit_min_s, RULES.hover_extent_m
+MIN_S, HOVER_M, SLOW_S = RULES.flight_fit_min_s, RULES.hover_extent_m, RULES.flight_fit_pose_s
+INTERVAL_S = 0.02
 
 
 def shortfall_of(flights: list[Flight]) -> Finding | None:
     """Return why these flights cannot be fitted whole."""
-    return tracking_shortfall(*tracking_time_and_extent([FlightData.of(each) for each in flights]))
+    return tracking_shortfall(*amount_of_tracking([FlightData.of(each) for each in flights]))
 
 
 def code_of(finding: Finding | None) -> Code | None:
@@ -41,7 +42,7 @@ def code_of(finding: Finding | None) -> Code | None:
 )
 def test_shortfall_counts_the_tracking_time_of_all_flights(tracked_s: tuple[float, ...], short: bool) -> None:
     flights = [build_flight(str(k), tracked_s=each) for k, each in enumerate(tracked_s)]
-    assert tracking_time_and_extent([FlightData.of(each) for each in flights])[0] == pytest.approx(
+    assert amount_of_tracking([FlightData.of(each) for each in flights])[0] == pytest.approx(
         sum(tracked_s), abs=1e-6
     )
     assert code_of(shortfall_of(flights)) == (Code.TRACKING_TOO_SHORT if short else None)
@@ -60,15 +61,14 @@ def test_shortfall_counts_the_tracking_time_of_all_flights(tracked_s: tuple[floa
 )
 def test_shortfall_is_a_hover_if_no_flight_moves(extents_m: tuple[float, ...], hovered: bool) -> None:
     flights = [build_flight(str(k), tracked_s=20.0, extent_m=each) for k, each in enumerate(extents_m)]
-    assert tracking_time_and_extent([FlightData.of(each) for each in flights])[1] == pytest.approx(
-        max(extents_m)
-    )
+    assert amount_of_tracking([FlightData.of(each) for each in flights])[1] == pytest.approx(max(extents_m))
     assert code_of(shortfall_of(flights)) == (Code.HOVER_ONLY if hovered else None)
 
 
 def test_tracking_extent_counts_only_motion_while_tracked() -> None:
     flights = [build_flight(tracked_s=20.0, extent_m=0.1, elsewhere_m=5.0)]
-    assert tracking_time_and_extent([FlightData.of(each) for each in flights]) == pytest.approx((20.0, 0.1))
+    tracking = amount_of_tracking([FlightData.of(each) for each in flights])
+    assert tracking == pytest.approx((20.0, 0.1, INTERVAL_S))
     assert code_of(shortfall_of(flights)) is Code.HOVER_ONLY
 
 
@@ -88,7 +88,21 @@ def test_tracking_extent_counts_only_motion_while_tracked() -> None:
 def test_tracking_shortfall_needs_time_then_extent(
     tracking_s: float, extent_m: float, expected: Code | None
 ) -> None:
-    assert code_of(tracking_shortfall(tracking_s, extent_m)) == expected
+    assert code_of(tracking_shortfall(tracking_s, extent_m, INTERVAL_S)) == expected
+
+
+@pytest.mark.parametrize(
+    ("extent_m", "interval_s", "expected"),
+    [
+        pytest.param(9.0, SLOW_S, None, id="at"),
+        pytest.param(9.0, SLOW_S * ABOVE, Code.POSES_TOO_SLOW, id="just-above"),
+        pytest.param(0.0, SLOW_S * ABOVE, Code.HOVER_ONLY, id="extent-first"),
+    ],
+)
+def test_whole_flights_need_a_pose_in_each_bin(
+    extent_m: float, interval_s: float, expected: Code | None
+) -> None:
+    assert code_of(tracking_shortfall(99.0, extent_m, interval_s)) == expected
 
 
 @pytest.mark.parametrize("extent_m", [0.0, 1.0], ids=["hover", "manoeuvre"])
