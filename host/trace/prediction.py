@@ -243,7 +243,7 @@ def predict_segments(
 def _fitted_nuisances(
     segment_model: SegmentModel, data: Segments, theta_scaled: np.ndarray, flights: int
 ) -> np.ndarray:
-    """Return the nuisances (flights, 9) of held-out flights at theta_scaled; 0 without segments.
+    """Return the nuisances (flights, nuisances) of held-out flights at theta_scaled; 0 without segments.
 
     data: segments of the flights. flights: number of flights.
     """
@@ -264,7 +264,7 @@ def _fitted_nuisances(
 
 
 def noise_floor(
-    logs: TraceData, model: Model | None, effects: Mapping[str, Effect], *, jobs: int = 1
+    logs: TraceData, model: Model | None, effects: Mapping[str, Effect], *, jobs: int
 ) -> dict[str, float | None]:
     """Return an estimate of the prediction error of a perfect model, from differences of repeat flights.
 

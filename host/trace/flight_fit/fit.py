@@ -43,7 +43,7 @@ _ITERATIONS = 24
 """Greatest number of iterations. Few fits need more than six: those in which the law is often at a limit."""
 
 _STALLED_NATS = 0.1
-"""A fit also ends if a step gains less."""
+"""A fit also ends if a step gains less and the slopes at its point are known."""
 
 _GIVEN_WHITENING_ITERATIONS = 6
 """Greatest number of iterations of `fit_with_whitening`."""

@@ -96,7 +96,7 @@ class FlightFitter:
 
         Treat the change of the prediction from `fit` to the start as one regressor with a non-negative
         coefficient. The gain is that of its best coefficient, with all other parameters free under the prior
-        of `fit`.
+        of `fit`. Measured rotor speeds do not count.
         """
         space, columns = self.space, list(self.space.groups[name])
         points = space.at_starts(name, fit.theta_scaled).T

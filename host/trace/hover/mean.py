@@ -27,8 +27,9 @@ class HoverMean:
     Attributes
     ----------
     command
-        Means over blocks of RULES.hover_block_s of the motor commands, of their squares, 0 to 1, or of the
-        rotor thrusts in N.
+        Means over blocks of RULES.hover_block_s of the motor commands, 0 to 1, or of the rotor thrusts in N.
+    command_squared
+        The same of their squares.
     in_newton
         Whether commands are rotor thrusts in N.
     lift_m_s2

@@ -32,6 +32,12 @@ would depend on where they start, by several nats.
 """
 
 
+_SETTLED_STEP = 0.03
+"""Greatest step, scaled, at which a fit ends whatever its standard deviations are."""
+
+_GREATEST_STEP = 4.0
+"""Greatest step of one iteration, scaled: the linearisation does not hold farther away."""
+
 _ITERATIONS = 15
 _GAINED_NATS = 1.0
 _PATIENCE = 2
@@ -65,7 +71,7 @@ class SegmentFit:
     effects: Names
     log_evidence: float
     theta_scaled: Annotated[np.ndarray, "parameters"]
-    nuisances: Annotated[np.ndarray, "flights 9"]
+    nuisances: Annotated[np.ndarray, "flights nuisances"]
     covariance: Annotated[np.ndarray, "parameters parameters"]
     process: DisturbanceVariances
     lin: Linearisation
@@ -229,7 +235,8 @@ def refit(
     it. On wrong trajectories the basis column of, say, a constant torque would differ from the column of an
     effect that acts alike, and terms that should cancel would look like information.
 
-    Where an effect is not smooth, a step may increase the cost. The fit then returns the best iterate.
+    Where an effect is not smooth, a step may increase the cost. The fit then returns the best iterate. A
+    first fit, and one from `theta_scaled`, return the last one: each of their steps finds new trajectories.
 
     Parameters
     ----------
@@ -281,8 +288,10 @@ def refit(
             lin = lin.with_variance_factor(factor)
             process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
         largest = (np.abs(step) / np.sqrt(np.diag(covariance))).max()
-        settled = np.abs(step).max() < 0.03 or (iteration >= 1 and largest < SEGMENTS_SETTLED)
-        step = space.clipped(theta_scaled + np.clip(step, -4.0, 4.0)) - theta_scaled
+        small = np.abs(step).max() < _SETTLED_STEP
+        settled = small or (iteration >= 1 and largest < SEGMENTS_SETTLED)
+        limited = np.clip(step, -_GREATEST_STEP, _GREATEST_STEP)
+        step = space.clipped(theta_scaled + limited) - theta_scaled
         nuisance_step = evidence.nuisance_step(lin, white, prior, step)
         cost = 0.5 * (float(white.gram[0, 0] + precision @ theta_scaled**2) + white.log_det)
         gained = best is None or start is None or cost < best.cost - _GAINED_NATS

@@ -53,7 +53,7 @@ class SegmentKernel:
         x0: Annotated[np.ndarray, "12 lanes segments"],
         theta_scaled: Annotated[np.ndarray, "parameters lanes"],
         memory: Annotated[np.ndarray, "memory lanes segments"],
-        nuisances: Annotated[np.ndarray, "9 lanes segments"],
+        nuisances: Annotated[np.ndarray, "nuisances lanes segments"],
         bins: Annotated[np.ndarray, "bins 6 lanes"] | None,
     ) -> Annotated[np.ndarray, "segments steps 12 lanes"]:
         """Return the predicted measurements, with arguments as of `..rollout.roll_out`.

@@ -1,6 +1,6 @@
 /* Roll-outs of segments over lanes. A lane is one roll-out of one segment; a group is LANES lanes of one segment.
-   Behind simd.h and the functions step, rotors and memory of the segment model with their constants, the sizes PARAMETERS, NUISANCES,
-   MEMORY and SERIES. Arrays of a group are (rows, groups) vectors. */
+   It is compiled behind simd.h, the functions step, rotors and memory of the segment model with their constants, and the
+   sizes PARAMETERS, NUISANCES and MEMORY. Arrays of a group are (rows, groups) vectors. */
 
 #define STATES 12
 #define CHANNELS 12

@@ -143,6 +143,8 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "_LACKING_SHARE": "share of the gain that a starting point may lack",
     },
     "segment_fit/fit.py": {
+        "_SETTLED_STEP": "step at which the Gauss-Newton iteration ends",
+        "_GREATEST_STEP": "limit of a Gauss-Newton step",
         "_CALM": "starting value of the search for the process noise",
         "START": "starting value of the search for the process noise",
         "START_RATE_DRIVEN": "the same where the measured rate drives the attitude",

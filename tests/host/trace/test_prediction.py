@@ -81,5 +81,5 @@ def test_a_held_out_flight_too_short_to_predict_is_refused_by_name(tmp_path: Pat
 
 
 def test_noise_floor_without_repeat_flights_is_none(tmp_path: Path) -> None:
-    floor = noise_floor(read_logs([flight(tmp_path / "a.mcap")], [], None), None, {})
+    floor = noise_floor(read_logs([flight(tmp_path / "a.mcap")], [], None), None, {}, jobs=1)
     assert floor == {"position_rmse_m": None, "velocity_rmse_m_s": None}
