@@ -57,7 +57,10 @@ def table(figures: Mapping[str, Any]) -> list[Row]:
         rows.append(share_row(label, target, found["sure"], found["sure_n"], found["sure_interval"]))
     for data, found in figures["probabilities"].items():
         label, between = f"traced with a false name, {data}", found["false_names_interval"]
-        rows.append(share_row(label, "", found["false_names"], found["worlds"], between))
+        rows.append(share_row(label, "<= 3 %", found["false_names"], found["worlds"], between))
+    for data, found in figures["probabilities"].items():
+        label, between = f"false name, of what is traced, {data}", found["false_names_of_traced_interval"]
+        rows.append(share_row(label, "", found["false_names_of_traced"], found["traced"], between))
     for data, found in figures["probabilities"].items():
         rows.append(_row(f"Brier score, {data}", _text(found["brier"], ""), found["n"], "", ""))
     for name, found in figures["by_family"].items():

@@ -60,7 +60,7 @@ CASES: dict[str, Case] = {
     "no reference": Case(codes=("no-reference",), copy=cut.without_reference),
     "two vehicles": Case(codes=("mixed-vehicles",), programme=_two_vehicles),
     "three seconds": Case(codes=("tracking-too-short", "too-few-segments"), programme=_three_seconds),
-    "constant hover": Case(codes=("hover-only", "tracking-too-short"), programme=_hover),
+    "constant hover": Case(codes=("hover-only",), programme=_hover),
 }
 """Kinds of thin data, by the names in `worlds.THIN`."""
 

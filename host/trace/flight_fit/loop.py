@@ -363,10 +363,12 @@ def closed_loop(
     theta_scaled: Annotated[np.ndarray, "parameters"],
     *,
     jobs: int = 1,
+    noise_free: bool = False,
 ) -> ClosedLoop:
     """Return the closed-loop model of `flights`, whose logs all hold a reference and the control law.
 
-    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights. Without
+    theta_scaled: scaled parameters that give the pose latency. jobs: threads that predict flights.
+    noise_free: whether the flights are without noise and turbulence, as predictions are. If not, and without
     measured rotor speeds, the space of the model is `space.of_predicted_flights()`. Raises TooLittleData if a
     log lacks a required topic.
     """
@@ -376,7 +378,8 @@ def closed_loop(
     recordings = parallel.each(lambda pair: record(*pair), zip(flights, states, strict=True), jobs)
     speeds = RotorSpeeds(flights, vehicle, space)
     if not speeds.present:
-        return ClosedLoop(recordings, vehicle, space.of_predicted_flights(), jobs=jobs)
+        shown = space if noise_free else space.of_predicted_flights()
+        return ClosedLoop(recordings, vehicle, shown, jobs=jobs)
     return ClosedLoop(recordings, vehicle, space, speeds=speeds, jobs=jobs)
 
 

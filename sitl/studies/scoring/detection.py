@@ -10,7 +10,7 @@ from trimtab.host.effects import Effect
 from trimtab.sitl.kinds import KINDS
 from trimtab.sitl.studies.scoring.counts import interval, share
 from trimtab.sitl.studies.scoring.effective import Effective
-from trimtab.sitl.studies.scoring.names import collapsed
+from trimtab.sitl.studies.scoring.names import collapsed, effect_of
 
 SIZES = ("sigma", "tolerances")
 """Measures of the size of an effect: separation from its closest alias, and distance from neutral."""
@@ -94,7 +94,8 @@ def by_kind(scores: Rows) -> dict[str, dict[str, Any]]:
     aliases count for the kind that is true.
     """
     inside = [s for s in scores if s["class"] != "thin"]
-    kinds = sorted({kind for s in inside for kind in (*s["named"], *s["kinds"]) if not KINDS[kind].outside})
+    kinds = {effect_of(name) for s in inside for name in (*s["named"], *s["kinds"])}
+    kinds = sorted(kind for kind in kinds if not KINDS[kind].outside)
     return {kind: _inside_kind(kind, inside) for kind in kinds}
 
 
@@ -108,7 +109,7 @@ def _inside_kind(kind: str, scores: Rows) -> dict[str, Any]:
         "exact_identifiable": sum(s["exact"] for s in singles if s["identifiable"]),
         "all": len(rows),
         "found": sum(row["found"] for row in rows),
-        "false": sum(kind in s["false_names"] for s in scores),
+        "false": sum(kind in map(effect_of, s["false_names"]) for s in scores),
     }
 
 

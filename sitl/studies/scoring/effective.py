@@ -29,7 +29,7 @@ from trimtab.host.trace.next_flight.separation import information_of
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.prediction import predict_flights, rmse
 from trimtab.host.vehicle import Vehicle
-from trimtab.sitl.studies.scoring.names import ratios
+from trimtab.sitl.studies.scoring.names import effect_of, ratios
 
 Values = dict[str, dict[str, float]]
 
@@ -74,11 +74,13 @@ def effective(
     """Return the effective parameters of a world with the `drawn` effects and the build's `deviations`.
 
     `still` holds each reference flown once in still air with perfect sensors. `flights` are the traced ones,
-    with repeat flights. Effects without a form in `space` are left out.
+    with repeat flights. Effects without a form in `space` are left out. A drawn effect takes the place of the
+    build's deviations in its parameters.
     """
     candidates = {name: _candidate(space, name, drawn[name]) for name in drawn if name in space.effects}
     names = tuple(sorted(candidates.values()))
-    centre = deviations_scaled(space, deviations)
+    of_build = {name: away for name, away in deviations.items() if effect_of(name) not in drawn}
+    centre = deviations_scaled(space, of_build)
     z = centre + deviations_scaled(
         space, {f"{n}.{k}": v for n in candidates for k, v in _away(space, n, drawn[n]).items()}
     )
@@ -86,7 +88,7 @@ def effective(
     white = turbulence(flown, z, order_of(flown), repeat_flights_of(flights))
     if white is None:
         raise ValueError("there are no repeat flights, so turbulence cannot be distinguished from physics")
-    loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z)
+    loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z, noise_free=True)
     z, covariance, grams = fit_with_whitening(
         loop, white, names, z, centre=centre, flight_weight=len(flights) / len(still)
     )

@@ -7,7 +7,8 @@ from typing import Any
 
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.sitl.studies.recorded import Group
-from trimtab.sitl.studies.scoring.counts import exact_interval
+from trimtab.sitl.studies.scoring.counts import interval, share
+from trimtab.sitl.studies.scoring.names import effect_of
 from trimtab.sitl.studies.scoring.world import library
 
 SHARES = ("exact", "exact_names", "in_alias", "false_name")
@@ -37,7 +38,7 @@ def score_row(row: Mapping[str, Any], expected: Sets) -> dict[str, Any]:
     """
     named = {effect["name"] for effect in row["effects"]}
     aliases = {alias["name"] for effect in row["effects"] for alias in effect["aliases"]}
-    alias_set = named | aliases if named else set(row["possible"])
+    alias_set = named | aliases if named else set(map(effect_of, row["possible"]))
     right = [set(names) for names in expected]
     causes = [names for names in right if names]
     same = named in right and row["verdict"] != "failed"
@@ -64,12 +65,9 @@ def summary(scores: Sequence[Mapping[str, Any]]) -> dict[str, Any]:
             answer = " + ".join(sorted(effect["name"] for effect in row["effects"])) or row["verdict"]
             answers[answer] = answers.get(answer, 0) + 1
     return {
-        **{key: sum(found) / len(found) if found else None for key, found in counted.items()},
+        **{key: share(found) for key, found in counted.items()},
         "failed": sum(row["verdict"] == "failed" for row in scores),
         "n": {**{key: len(found) for key, found in counted.items()}, "groups": len(scores)},
-        "interval": {
-            key: list(exact_interval(sum(found), len(found))) if found else None
-            for key, found in counted.items()
-        },
+        "interval": {key: interval(found) for key, found in counted.items()},
         "confusion": confusion,
     }

@@ -34,9 +34,6 @@ TRUTHS = ("true", "drawn")
 """Truths of a parameter: its effective value, and the one that the plant was drawn with."""
 
 _SUFFIX = {"true": "", "drawn": "_drawn"}
-_ROWS = {"none": "nothing", "pair": "a pair", "triple": "three effects"}
-"""Rows of the confusion table; in other classes, the kind."""
-
 Scores = Sequence[Mapping[str, Any]]
 
 

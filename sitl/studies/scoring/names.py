@@ -78,6 +78,43 @@ def collapsed(
     return frozenset(merged) - (brought - true)
 
 
+def effect_of(name: str) -> str:
+    """Return the effect of a candidate, which may be only one of its parameters, such as one rotor."""
+    return name.partition(".")[0]
+
+
+def with_scored_names(
+    answer: Mapping[str, Any], drawn: Mapping[str, Mapping[str, float]], effects: Mapping[str, Effect]
+) -> dict[str, Any]:
+    """Return an answer with the names of named and possible effects by which they are scored.
+
+    A candidate counts as its effect, and the candidates of one effect once, with the greatest probability. If
+    only one parameter of an effect acts, such as the loss of one rotor, and the answer states another one
+    than was drawn, its name is that of the candidate, which is not there. drawn: values of the world's
+    effects.
+    """
+
+    def scored(name: str, keys: Iterable[str]) -> str:
+        effect = effects[effect_of(name)]
+        if not effect.one_of or effect.name not in drawn:
+            return effect.name
+        neutral = dict(zip(effect.keys, effect.neutral, strict=True))
+        there = any(drawn[effect.name].get(key, neutral[key]) != neutral[key] for key in keys)
+        return effect.name if there else f"{effect.name}.{min(keys)}"
+
+    possible: dict[str, float] = {}
+    for each in answer.get("possible", ()):
+        name = scored(each["name"], [each["name"].partition(".")[2]] if "." in each["name"] else ())
+        possible[name] = max(each["probability"], possible.get(name, 0.0))
+    return {
+        **answer,
+        "effects": [
+            {**each, "name": scored(each["name"], each["parameters"])} for each in answer.get("effects", ())
+        ],
+        "possible": [{"name": name, "probability": p} for name, p in possible.items()],
+    }
+
+
 def ordered(effects: Iterable[Mapping[str, Any]]) -> list[str]:
     """Return the names of a verdict's effects by probability, then by size in standard deviations."""
 

@@ -59,8 +59,8 @@ def outside_sigma(
     """
     centre = space.clipped(deviations_scaled(space, deviations))
     flown, loop, without = (
-        closed_loop([FlightData.of(flight) for flight in some], vehicle, space, centre)
-        for some in (flights, still, plain)
+        closed_loop([FlightData.of(flight) for flight in some], vehicle, space, centre, noise_free=perfect)
+        for some, perfect in ((flights, False), (still, True), (plain, True))
     )
     white = turbulence(flown, centre, order_of(flown), repeat_flights_of(flights))
     if white is None:

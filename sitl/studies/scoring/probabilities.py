@@ -35,34 +35,46 @@ def probability_rows(
     """Return name, probability, and whether it is there, for each named and each possible effect.
 
     Exact aliases count as one effect, with the greater probability. If mass or thrust gain is true, an
-    inertia beside the alias is neither right nor wrong, and has no row. Nor has an effect that is `brought`.
+    inertia beside the alias is neither right nor wrong, and has no row. A named inertia is so only beside a
+    named alias. Nor has an effect a row that is `brought`.
     """
-    given = {e["name"]: e["probability"] for e in (*answer.get("possible", ()), *answer.get("effects", ()))}
-    counted, truth = collapsed(given, kinds, effects, brought), collapsed(kinds, kinds, effects)
+    named, possible = (
+        {each["name"]: each["probability"] for each in answer.get(key, ())} for key in ("effects", "possible")
+    )
+    counted = {name: collapsed(named, kinds, effects, brought) for name in named}
+    counted |= {name: collapsed([*named, *possible], kinds, effects, brought) for name in possible}
+    truth = collapsed(kinds, kinds, effects)
     merged = {name: ratio.name for ratio in ratios(effects) for name in ratio.alike}
     probability: dict[str, float] = {}
-    for name, p in given.items():
+    for name, p in (possible | named).items():
         known_as = merged.get(name, name)
-        if known_as in counted:
+        if known_as in counted[name]:
             probability[known_as] = max(p, probability.get(known_as, 0.0))
     return [{"name": name, "probability": p, "there": name in truth} for name, p in probability.items()]
 
 
 def calibration(scores: Rows) -> dict[str, dict[str, Any]]:
     """Return the calibration of all probabilities by kind of data, see `calibration_of`."""
-    groups: dict[str, list[tuple[Mapping[str, Any], bool]]] = {data: [] for data in DATA}
+    groups: dict[str, list[Mapping[str, Any]]] = {data: [] for data in DATA}
     for score in scores:
-        groups[data_of(score)].append((score, score["wrong"]))
+        groups[data_of(score)].append(score)
         for few, answer in score["few"].items():
-            groups[few].append((answer, answer["wrong"]))
+            groups[few].append(answer)
+    return {data: _of_answers(answers) for data, answers in groups.items()}
+
+
+def _of_answers(answers: Rows) -> dict[str, Any]:
+    """Return the calibration of answers, and the share with a false name: of all, and of those traced."""
+    wrong = [answer["wrong"] for answer in answers]
+    traced = [answer["wrong"] for answer in answers if answer["verdict"] == "traced"]
     return {
-        data: {
-            "worlds": len(answers),
-            "false_names": share([wrong for _, wrong in answers]),
-            "false_names_interval": interval([wrong for _, wrong in answers]),
-            **calibration_of([row for answer, _ in answers for row in answer["probabilities"]]),
-        }
-        for data, answers in groups.items()
+        "worlds": len(wrong),
+        "false_names": share(wrong),
+        "false_names_interval": interval(wrong),
+        "traced": len(traced),
+        "false_names_of_traced": share(traced),
+        "false_names_of_traced_interval": interval(traced),
+        **calibration_of([row for answer in answers for row in answer["probabilities"]]),
     }
 
 

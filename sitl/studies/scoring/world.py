@@ -24,7 +24,14 @@ from trimtab.sitl.studies.scoring.effective import (
     nearest,
     off_by,
 )
-from trimtab.sitl.studies.scoring.names import Ratio, collapsed, ordered, ratios
+from trimtab.sitl.studies.scoring.names import (
+    Ratio,
+    collapsed,
+    effect_of,
+    ordered,
+    ratios,
+    with_scored_names,
+)
 from trimtab.sitl.studies.scoring.outside import outside_sigma
 from trimtab.sitl.studies.scoring.probabilities import probability_rows
 from trimtab.sitl.studies.thin import CASES
@@ -74,7 +81,12 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
             values = off_by(chosen, deviations) if known is None else known.values
             floor = floor_m(vehicle, effects, values, drawn, held_out)
     brought = brought_effects(truth, vehicle, chosen)
-    judged = judge(truth["kinds"], verdict, None if known is None else nearest(known), effects, brought)
+
+    def scored(given: Mapping[str, Any]) -> dict[str, Any]:
+        return {**given, "answer": with_scored_names(given["answer"], drawn, effects)}
+
+    separations = None if known is None else nearest(known)
+    judged = judge(truth["kinds"], scored(verdict), separations, effects, brought)
     score = {
         "world": folder.name,
         "class": truth["class"],
@@ -93,7 +105,7 @@ def score_world(folder: Path, ledger: Ledger, programme: Programme) -> dict[str,
         "floor_m": floor,
         "told": None if truth["case"] is None else is_told(truth["case"], verdict),
         "few": {
-            data: judge_few(truth["kinds"], read_json(folder / file), effects, brought)
+            data: judge_few(truth["kinds"], scored(read_json(folder / file)), effects, brought)
             for data, file in FEW.items()
             if (folder / file).is_file()
         },
@@ -118,9 +130,10 @@ def judge(
 ) -> dict[str, Any]:
     """Compare the verdict with a world of effects `kinds`, and return the comparison as plain data.
 
-    `separations`, sigma, are of each true effect from each other candidate; None if the world has no effect
-    of the library. `brought`: see `brought_effects`. An undecided verdict on an identifiable world counts as
-    a miss. If a verdict names nothing, its alias set is what it considers possible.
+    The names of the verdict are those of `with_scored_names`. `separations`, sigma, are of each true effect
+    from each other candidate; None for worlds without an effect of the library, and for thin data and few
+    flights. `brought`: see `brought_effects`. An undecided verdict on an identifiable world counts as a miss.
+    If a verdict names nothing, its alias set is what it considers possible.
     """
 
     def alike(names: Iterable[str]) -> frozenset[str]:
@@ -129,8 +142,9 @@ def judge(
     answer = verdict["answer"]
     said = answer.get("verdict", "failed")
     named = [
-        {**e, "neutral": dict(zip(effects[e["name"]].keys, effects[e["name"]].neutral, strict=True))}
+        {**e, "neutral": dict(zip(effect.keys, effect.neutral, strict=True))}
         for e in answer.get("effects", ())
+        for effect in (effects[effect_of(e["name"])],)
     ]
     first = ordered(named)
     names = alike(first)
@@ -139,7 +153,6 @@ def judge(
     aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
     leading = collapsed(first[:1], kinds, effects)
-    right = set(first[:1]) <= set(kinds) or leading <= truth
     decided = said == "traced" or (said == "undecided" and not identifiable)
     sizes = [1 + len(alike(a["name"] for a in e["aliases"]) - alike([e["name"]])) for e in named]
     if possible:
@@ -157,7 +170,7 @@ def judge(
         "separation": separations,
         "wrong": said == "traced" and not names <= truth,
         "false_names": [n for n in first if alike([n]) & (names - truth)] if said == "traced" else [],
-        "top1": bool(first) and right and decided,
+        "top1": bool(first) and leading <= truth and decided,
         "exact": bool(first) and names == truth and decided,
         "in_alias": bool(kinds) and truth <= alike({*first, *aliases}),
         "alias_sizes": sizes,

@@ -44,6 +44,12 @@ def test_exact_aliases_are_one_effect_and_an_inertia_beside_them_is_not_judged()
     assert probability_rows(said, ["mass"], EFFECTS) == [
         {"name": "thrust-over-mass", "probability": 0.95, "there": True}
     ]
+    # An alias that is only possible excuses no named inertia.
+    doubted = answer({"inertia": 0.97}, {"thrust-gain": 0.06})
+    assert probability_rows(doubted, ["mass"], EFFECTS) == [
+        {"name": "thrust-over-mass", "probability": 0.06, "there": True},
+        {"name": "inertia", "probability": 0.97, "there": False},
+    ]
     # Without the alias beside it, or if neither of the two is true, an inertia is judged.
     (alone,) = probability_rows(answer({"inertia": 0.97}), ["mass"], EFFECTS)
     assert (alone["name"], alone["there"]) == ("inertia", False)
@@ -82,13 +88,14 @@ def few(names: dict[str, float], kinds: list[str]) -> dict[str, Any]:
 
 
 def test_calibration_keeps_the_kinds_of_data_apart_and_names_false_certainties() -> None:
-    whole = {"class": "single", "wrong": False, "probabilities": rows((0.99, True))}
+    whole = {"class": "single", "verdict": "traced", "wrong": False, "probabilities": rows((0.99, True))}
     whole["few"] = {
         "one flight": few({"wind": 1.0}, ["motor-lag"]),
         "one pair": few({"motor-lag": 0.96}, ["motor-lag"]),
     }
-    thin = {"class": "thin", "wrong": False, "probabilities": [], "few": {}}
-    outside = {"class": "outside", "wrong": True, "probabilities": rows((1.0, False)), "few": {}}
+    thin = {"class": "thin", "verdict": "undecided", "wrong": False, "probabilities": [], "few": {}}
+    sure = rows((1.0, False))
+    outside = {"class": "outside", "verdict": "traced", "wrong": True, "probabilities": sure, "few": {}}
     found = calibration([whole, thin, outside])
     assert {data: (c["worlds"], c["sure"], c["false_names"]) for data, c in found.items()} == {
         "one flight": (1, 0.0, 1.0),
@@ -96,6 +103,13 @@ def test_calibration_keeps_the_kinds_of_data_apart_and_names_false_certainties()
         "full set": (1, 1.0, 0.0),
         "outside the library": (1, 0.0, 1.0),
         "thin data": (1, None, 0.0),
+    }
+    assert {data: (c["traced"], c["false_names_of_traced"]) for data, c in found.items()} == {
+        "one flight": (1, 1.0),
+        "one pair": (1, 0.0),
+        "full set": (1, 0.0),
+        "outside the library": (1, 1.0),
+        "thin data": (0, None),
     }
     assert false_certainties(whole) == ["one flight: wind given 1.000, absent"]
 

@@ -21,7 +21,7 @@ from trimtab.sitl.studies.flights import BLIND, STILL, TRUTH, fly_and_seal, plan
 from trimtab.sitl.studies.scoring.baselines import stepwise_bic, weak_sindy
 from trimtab.sitl.studies.scoring.brought import brought_effects
 from trimtab.sitl.studies.scoring.counts import exact_interval
-from trimtab.sitl.studies.scoring.detection import detection_rows
+from trimtab.sitl.studies.scoring.detection import by_kind, detection_rows
 from trimtab.sitl.studies.scoring.effective import Effective, effective, nearest
 from trimtab.sitl.studies.scoring.metrics import (
     baseline_rows,
@@ -30,7 +30,7 @@ from trimtab.sitl.studies.scoring.metrics import (
     relative_errors,
     summary,
 )
-from trimtab.sitl.studies.scoring.names import collapsed, ratios
+from trimtab.sitl.studies.scoring.names import collapsed, ratios, with_scored_names
 from trimtab.sitl.studies.scoring.probabilities import probability_rows
 from trimtab.sitl.studies.scoring.world import is_told, judge, parameter_rows
 from trimtab.sitl.studies.table import failure, lines, truth_table
@@ -107,6 +107,40 @@ def test_what_is_possible_is_the_alias_set_of_a_verdict_that_names_nothing() -> 
     assert score["in_alias"]
     assert score["alias_sizes"] == [2]
     assert not judge(["inertia"], said, HAZY, EFFECTS)["in_alias"]
+
+
+LOSSES = {"rotor-loss": {"loss_1": 0.1, "loss_2": 0.0, "loss_3": 0.0, "loss_4": 0.0}}
+
+
+def named_rotor(key: str) -> dict[str, Any]:
+    """Return a verdict that names the loss of one rotor."""
+    said = verdict("traced", "rotor-loss")
+    (loss,) = said["answer"]["effects"]
+    loss["parameters"] = {key: loss["parameters"][key]}
+    return {**said, "answer": with_scored_names(said["answer"], LOSSES, EFFECTS)}
+
+
+def test_the_loss_of_another_rotor_is_a_false_name() -> None:
+    assert judge(["rotor-loss"], named_rotor("loss_1"), CLEAR, EFFECTS)["exact"]
+    other = judge(["rotor-loss"], named_rotor("loss_3"), CLEAR, EFFECTS)
+    assert (other["exact"], other["top1"], other["wrong"]) == (False, False, True)
+    assert other["false_names"] == ["rotor-loss.loss_3"]
+    assert [row["there"] for row in other["probabilities"]] == [False]
+    counted = by_kind([score("single", ["rotor-loss"], named_rotor("loss_3"))])
+    assert counted["rotor-loss"]["false"] == 1
+
+
+def test_possible_rotors_count_as_one_effect_if_it_is_not_another_rotor_that_lost_thrust() -> None:
+    possible = [{"name": f"rotor-loss.loss_{i}", "probability": 0.1 * i} for i in (1, 2, 3)]
+    answer = {"verdict": "nothing-missing", "possible": [*possible, {"name": "wind", "probability": 0.2}]}
+    assert with_scored_names(answer, {}, EFFECTS)["possible"] == [
+        {"name": "rotor-loss", "probability": pytest.approx(0.3)},
+        {"name": "wind", "probability": 0.2},
+    ]
+    lost = with_scored_names(answer, LOSSES, EFFECTS)["possible"]
+    names = ["rotor-loss", "rotor-loss.loss_2", "rotor-loss.loss_3", "wind"]
+    assert [each["name"] for each in lost] == names
+    assert lost[0]["probability"] == pytest.approx(0.1)
 
 
 def test_mass_named_as_thrust_gain_is_right() -> None:
@@ -538,6 +572,25 @@ def test_effect_of_few_tolerances_is_never_separated_by_more_sigma(known: Effect
     endless = replace(known, z=z, gram=1e12 * known.gram)
     separated = nearest(endless)["motor-lag"].values()
     assert max(separated) == pytest.approx(2.0 * np.sqrt(len(columns)), rel=1e-3)
+
+
+def test_an_effect_that_depends_on_noise_has_an_effective_size_in_still_air(tmp_path: Path) -> None:
+    programme = replace(BLIND, learning=("quick",), held_out=())
+    world = PlannedWorld(name="w", kind_class="single", kinds=("dead-zone",), seed=8, turbulence=1.0)
+    fly_and_seal(world, tmp_path, plan_references(tmp_path, "research", programme), "research", programme)
+    truth = read_json(tmp_path / TRUTH)
+    found = fitted((tmp_path, truth), truth["effects"])
+    width = truth["effects"]["dead-zone"]["width"]
+    assert found.true()["dead-zone"]["width"] == pytest.approx(width, rel=0.3)
+    assert 0.0 < found.bound_sd("dead-zone", "width") < 0.2 * width
+
+
+def test_the_build_deviates_in_no_parameter_of_a_drawn_effect(flown: Flown) -> None:
+    """The plant takes the effect's values in place of the deviations, so both must not be added."""
+    drawn = flown[1]["effects"]
+    folder, truth = flown
+    far = {**truth["deviations"], **{f"linear-drag.{key}": 9.0 for key in drawn["linear-drag"]}}
+    assert fitted((folder, {**truth, "deviations": far}), drawn).true() == fitted(flown, drawn).true()
 
 
 def test_what_the_library_lacks_has_no_effective_parameters(flown: Flown) -> None:
