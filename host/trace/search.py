@@ -154,8 +154,7 @@ class _Tried(Generic[F]):
         about, scores = self.nearby.get(selected.effects, (None, {}))
         if about is not selected:
             depth = min(RULES.max_effects, len(selected.effects) + 1)
-            score = self.fitter.scorer(selected)
-            shift = selected.log_evidence - score([selected.effects])[0]
+            score, shift = _score_about(self.fitter, selected)
             scores = {n: value + shift for n, value in screen(self.fitter.space, score, depth).items()}
             self.nearby[selected.effects] = selected, scores
         return scores
@@ -223,6 +222,12 @@ def search(
     )
 
 
+def _score_about(fitter: Fitter[F], fit: F) -> tuple[Score, float]:
+    """Return the scorer of a fit, and what to add to its scores to compare them with log evidences."""
+    score = fitter.scorer(fit)
+    return score, fit.log_evidence - score([fit.effects])[0]
+
+
 def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, float]) -> list[Names]:
     """Return sets to fit from the selected fit: those that the screening or an earlier fit may underrate.
 
@@ -243,8 +248,7 @@ def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, floa
     if not trials:
         return []
     margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
-    score = fitter.scorer(selected)
-    shift = selected.log_evidence - score([selected.effects])[0]
+    score, shift = _score_about(fitter, selected)
     found = zip(trials, score(trials), strict=True)
     return [names for names, value in found if value + shift > selected.log_evidence - margin]
 

@@ -82,7 +82,7 @@ class _Grid:
     t_s: times of the grid, since arming. run_up: index at which the first segment begins. count: number of
     segments. steps: steps in a segment. command, rate_frd, force_frd: means over each interval between two
     times; command_share, rate_share, force_share: share of the interval that samples cover. pose: index of
-    the nearest pose, -1 if there is none.
+    the nearest pose. posed: whether it is within half a step. p_ned: its position, interpolated if it is not.
     """
 
     t_s: Annotated[np.ndarray, "times"]
@@ -97,6 +97,8 @@ class _Grid:
     force_share: Annotated[np.ndarray, "intervals"]
     voltage_ratio: Annotated[np.ndarray, "times"]
     pose: Annotated[np.ndarray, "times"]
+    posed: Annotated[np.ndarray, "times"]
+    p_ned: Annotated[np.ndarray, "times 3"]
 
 
 def _grid(data: FlightData, segment_s: float) -> _Grid:
@@ -116,8 +118,11 @@ def _grid(data: FlightData, segment_s: float) -> _Grid:
     order = np.lexsort((distance_s, nearest))
     closest = order[np.unique(nearest[order], return_index=True)[1]]
     closest = closest[(nearest[closest] >= 0) & (nearest[closest] < len(t_s))]
-    pose = np.full(len(t_s), -1)
+    pose = np.searchsorted(0.5 * (s.pose_s[1:] + s.pose_s[:-1]), t_s)
     pose[nearest[closest]] = closest
+    posed = np.zeros(len(t_s), dtype=bool)
+    posed[nearest[closest]] = True
+    between = np.column_stack([np.interp(t_s, s.pose_s, axis) for axis in s.p_ned.T])
     return _Grid(
         t_s=t_s,
         run_up=run_up,
@@ -131,6 +136,8 @@ def _grid(data: FlightData, segment_s: float) -> _Grid:
         force_share=force_share,
         voltage_ratio=np.interp(t_s, s.voltage_s, s.voltage_ratio),
         pose=pose,
+        posed=posed,
+        p_ned=np.where(posed[:, None], s.p_ned[pose], between),
     )
 
 
@@ -178,7 +185,7 @@ def _has_gaps(grid: _Grid, first: int, min_poses: float) -> bool:
 
     min_poses: share of the steps that need a pose.
     """
-    posed = grid.pose[first : first + grid.steps] >= 0
+    posed = grid.posed[first : first + grid.steps]
     commanded = grid.command_share[first - grid.run_up : first + grid.steps] > RULES.min_coverage
     return bool(
         posed.mean() < min_poses
@@ -191,18 +198,14 @@ def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str
     """Return the fields of the segment that begins at index `first`; see `Segments` for their shapes."""
     steps = grid.steps
     inside = slice(first, first + steps)
-    pose = grid.pose[inside]
-    posed = pose >= 0
-    t_s = grid.t_s[inside]
-    pose = np.where(posed, pose, _nearest(s.pose_s, t_s))
-    between = np.column_stack([np.interp(t_s, s.pose_s, axis) for axis in s.p_ned.T])
+    pose, posed = grid.pose[inside], grid.posed[inside]
     rate_covered = grid.rate_share[inside] > RULES.min_coverage
     return {
         "in_newton": s.in_newton,
         "x0": _initial(s, grid.t_s[first], grid.rate_frd[first] if rate_covered[0] else None),
-        "p_ned": np.where(posed[:, None], s.p_ned[pose], between),
+        "p_ned": grid.p_ned[inside],
         "R_ned_frd": s.R_ned_frd[pose].reshape(steps, 9),
-        "shift_s": np.where(posed, s.pose_s[pose] - t_s, 0.0),
+        "shift_s": np.where(posed, s.pose_s[pose] - grid.t_s[inside], 0.0),
         "pose_weight": posed.astype(float),
         "rate_frd": grid.rate_frd[inside],
         "rate_weight": rate_covered * (0.0 if rate_driven else 1.0),
@@ -213,13 +216,6 @@ def _segment(grid: _Grid, s: Signals, first: int, rate_driven: bool) -> dict[str
         "disturbance_frd": np.zeros((round(steps * DT_S / BIN_S), 6)),
         "path_start_s": np.array(grid.t_s[first] - s.pose_s[0]),
     }
-
-
-def _nearest(
-    pose_s: Annotated[np.ndarray, "poses"], t_s: Annotated[np.ndarray, "times"]
-) -> Annotated[np.ndarray, "times"]:
-    """Return the index of the pose that is nearest to each time."""
-    return np.searchsorted(0.5 * (pose_s[1:] + pose_s[:-1]), t_s)
 
 
 def _initial(s: Signals, t: float, rate: np.ndarray | None) -> np.ndarray:

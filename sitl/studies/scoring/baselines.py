@@ -27,7 +27,7 @@ from trimtab.host.vehicle import Vehicle, load_vehicle
 from trimtab.sitl.studies.commandline import run_apart
 from trimtab.sitl.studies.files import StudyError, read_json, write_json
 from trimtab.sitl.studies.flights import SCORE, TRUTH, Programme
-from trimtab.sitl.studies.scoring.names import collapsed
+from trimtab.sitl.studies.scoring.names import collapsed, effect_of
 
 BASELINES = "baselines.json"
 RUN_S = 0.1
@@ -78,7 +78,7 @@ def _judged(
     names: list[str], kinds: Sequence[str], effects: Mapping[str, Effect], brought: frozenset[str]
 ) -> dict[str, Any]:
     """Compare names, the strongest first, with the truth, by the rules for our verdicts."""
-    names = list(dict.fromkeys(name.partition(".")[0] for name in names))
+    names = list(dict.fromkeys(map(effect_of, names)))
     truth, counted = collapsed(kinds, kinds, effects), collapsed(names, kinds, effects, brought)
     return {
         "names": names,
