@@ -363,6 +363,25 @@ def _evidence_and_slope(
     return -0.5 * float(square + log_dets), slope
 
 
+def fit_noise(
+    lin: Linearisation, prior: Prior, selected: Sequence[str], start: DisturbanceVariances
+) -> tuple[Linearisation, DisturbanceVariances, MarginalGrams]:
+    """Fit the process disturbance and the variance of the sensor noise at the point of a linearisation.
+
+    Returns the linearisation with that variance, the process of greatest evidence and the Grams with both.
+    prior, selected, start: as for `fit_process`.
+    """
+    still = np.zeros(lin.parameters)
+    process = fit_process(lin, prior, selected, start)
+    white = marginal_grams(lin, process, prior)
+    factor = variance_factor(lin, white, still)
+    if factor != lin.variance_factor:
+        lin = lin.with_variance_factor(factor)
+        process = fit_process(lin, prior, selected, process)
+        white = marginal_grams(lin, process, prior)
+    return lin, process, white
+
+
 def disturbances(
     lin: Linearisation,
     process: DisturbanceVariances,

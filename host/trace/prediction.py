@@ -250,16 +250,13 @@ def _fitted_nuisances(
     nuisances = np.zeros((flights, segment_model.nuisances))
     if not len(data.flight):
         return nuisances
-    process = starting_process(data)
+    prior, process = segment_model.space.prior, starting_process(data)
     basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     for _ in range(3):
         lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
         data = data.with_x0(x0)
-        process = evidence.fit_process(lin, segment_model.space.prior, (), process)
-        white = evidence.marginal_grams(lin, process, segment_model.space.prior)
-        nuisances = nuisances + evidence.nuisance_step(
-            lin, white, segment_model.space.prior, np.zeros(len(theta_scaled))
-        )
+        lin, process, white = evidence.fit_noise(lin, prior, (), process)
+        nuisances = nuisances + evidence.nuisance_step(lin, white, prior, np.zeros(len(theta_scaled)))
     return nuisances
 
 

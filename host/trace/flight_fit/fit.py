@@ -298,11 +298,12 @@ def fit_with_whitening(
     Annotated[np.ndarray, "parameters"],
     Annotated[np.ndarray, "parameters parameters"],
     Annotated[np.ndarray, "flights columns columns"],
+    Annotated[np.ndarray, "parameters"],
 ]:
-    """Fit `effects` with a given whitening; return estimate and covariance, scaled, and Grams.
+    """Fit `effects` with a given whitening; return the estimate, its covariance, the Grams and their point.
 
-    The Grams of the whitened [residual | slopes] are divided by RULES.temper, since the innovations stay
-    correlated over about a second (see `whitening`).
+    All are scaled. The Grams of the whitened [residual | slopes] are divided by RULES.temper, since the
+    innovations stay correlated over about a second (see `whitening`).
 
     Parameters
     ----------
@@ -330,8 +331,8 @@ def fit_with_whitening(
         deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
         step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)
-        theta_scaled = loop.space.clipped(theta_scaled + step)
+        at, theta_scaled = theta_scaled, loop.space.clipped(theta_scaled + step)
         turn += 1
         settled = _deviations(step, covariance) < _REFIT_SETTLED
         if settled or turn == _GIVEN_WHITENING_ITERATIONS:
-            return theta_scaled, covariance, grams
+            return theta_scaled, covariance, grams, at

@@ -113,10 +113,8 @@ def refit_with_turbulence_whitening(
     white = turbulence(loop, fit.theta_scaled, order, repeat_flights)
     if white is None:
         return fit
-    theta_scaled, covariance, grams = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
-    return replace(
-        fit, theta_scaled=theta_scaled, at=theta_scaled, covariance=covariance, whitening=white, grams=grams
-    )
+    theta_scaled, covariance, grams, at = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
+    return replace(fit, theta_scaled=theta_scaled, at=at, covariance=covariance, whitening=white, grams=grams)
 
 
 _Pair = tuple[np.ndarray, np.ndarray, np.ndarray]

@@ -67,12 +67,12 @@ class Instruments:
 
     @classmethod
     def of(cls, fit: SegmentFit) -> Instruments:
-        """Return the mean sensors and battery of the fitted flights, with the process of the fit."""
+        """Return the mean sensors and battery of the flights, with noise and process of the fit."""
         data = fit.data
         t_s = np.repeat(data.start_s[:, None], data.steps, axis=1) + DT_S * np.arange(data.steps)
         slope, start = np.polyfit(t_s.ravel(), data.voltage_ratio.ravel(), 1)
         return cls(
-            sigma=data.sigma.mean(0),
+            sigma=np.sqrt(fit.lin.variance_factor) * data.sigma.mean(0),
             shares=np.array([w.mean() for w in (data.pose_weight, data.rate_weight, data.force_weight)]),
             voltage=np.array([start, slope]),
             process=fit.process,

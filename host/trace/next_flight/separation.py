@@ -204,6 +204,7 @@ def _flown_information(segment_model: SegmentModel, fit: SegmentFit, theta_scale
     lin = fit.lin
     if not np.array_equal(theta_scaled, fit.theta_scaled):
         lin, _ = linearise.linearise(segment_model, fit.data, theta_scaled, fit.nuisances, fit.basis)
+        lin = lin.with_variance_factor(fit.lin.variance_factor)
     return evidence.marginal_grams(lin, fit.process, segment_model.space.prior).gram[1:, 1:]
 
 

@@ -351,7 +351,8 @@ def at_parameters(
 ) -> SegmentFit:
     """Return a segment fit at parameters that were fitted to whole flights.
 
-    Only initial states, nuisances, the disturbance and its variances are fitted to the segments of `start`.
+    Only initial states, nuisances, the disturbance, its variances and that of the sensor noise are fitted to
+    the segments of `start`.
 
     Parameters
     ----------
@@ -376,8 +377,7 @@ def at_parameters(
             data = undisturbed(data)
             lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(x0)
-        process = evidence.fit_process(lin, prior, effects, process)
-        white = evidence.marginal_grams(lin, process, prior)
+        lin, process, white = evidence.fit_noise(lin, prior, effects, process)
         nuisance_step = evidence.nuisance_step(lin, white, prior, fixed)
         nuisances = nuisances + nuisance_step
         passes -= 1

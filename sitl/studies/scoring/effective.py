@@ -89,7 +89,7 @@ def effective(
     if white is None:
         raise ValueError("there are no repeat flights, so turbulence cannot be distinguished from physics")
     loop = closed_loop([FlightData.of(flight) for flight in still], vehicle, space, z, noise_free=True)
-    z, covariance, grams = fit_with_whitening(
+    z, covariance, grams, _ = fit_with_whitening(
         loop, white, names, z, centre=centre, flight_weight=len(flights) / len(still)
     )
     gram = grams.sum(0)[1:, 1:]

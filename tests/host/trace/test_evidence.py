@@ -158,6 +158,22 @@ def test_variance_factor_is_the_excess_over_the_usual(dense: Dense, ratio: float
     )
 
 
+@pytest.mark.parametrize("freedom", [10, 10_000])
+def test_noise_and_process_are_fitted_together(dense: Dense, freedom: int) -> None:
+    """With little freedom the residual is too large for the stated noise, with much it is not."""
+    stated = replace(dense.lin, freedom=freedom)
+    still = np.zeros(P)
+    lin, process, white = evidence.fit_noise(stated, PRIOR, ("a",), PROCESS)
+    first = evidence.fit_process(stated, PRIOR, ("a",), PROCESS)
+    factor = evidence.variance_factor(stated, evidence.marginal_grams(stated, first, PRIOR), still)
+    assert lin.variance_factor == factor
+    assert (factor > 1.0) == (freedom == 10)
+    if factor == 1.0:
+        assert lin is stated
+    assert process == (evidence.fit_process(lin, PRIOR, ("a",), first) if factor > 1.0 else first)
+    np.testing.assert_array_equal(white.gram, evidence.marginal_grams(lin, process, PRIOR).gram)
+
+
 def test_posterior_and_local_step_are_the_joint_ridge_solution(dense: Dense) -> None:
     r, J, covariance, at = stacked(dense)
     precision = PRIOR.precision(("a",))

@@ -26,8 +26,8 @@ FIT = build_closed_fit(
     covariance=np.diag([4.0, 9.0]),
     grams=np.full((2, 3, 3), 6.0),
 )
-AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0)
-"""Result of the replaced weighted fit: theta_scaled, covariance and Grams."""
+AGAIN = np.array([1.5, 2.5]), np.diag([0.25, 0.5]), np.full((2, 3, 3), 7.0), np.array([1.4, 2.4])
+"""Result of the replaced weighted fit: theta_scaled, covariance, Grams and their point."""
 
 
 class ResidualsOnly:
@@ -55,7 +55,7 @@ def whitenings(monkeypatch: pytest.MonkeyPatch) -> list[Whitening]:
 
     def fit_with_whitening(
         loop: ClosedLoop, white: Whitening, effects: Sequence[str], theta_scaled: np.ndarray
-    ) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    ) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
         assert tuple(effects) == FIT.effects
         np.testing.assert_array_equal(theta_scaled, FIT.theta_scaled)
         used.append(white)
@@ -98,9 +98,9 @@ def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
         assert is_kept(refitted)
         assert refitted.whitening is FIT.whitening
         return
-    theta_scaled, covariance, grams = AGAIN
+    theta_scaled, covariance, grams, at = AGAIN
     np.testing.assert_array_equal(refitted.theta_scaled, theta_scaled)
-    np.testing.assert_array_equal(refitted.at, theta_scaled)
+    np.testing.assert_array_equal(refitted.at, at)
     np.testing.assert_array_equal(refitted.covariance, covariance)
     np.testing.assert_array_equal(refitted.grams, grams)
     assert refitted.whitening is whitenings[0]

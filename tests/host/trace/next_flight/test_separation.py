@@ -19,7 +19,12 @@ from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.next_flight.information import Instruments, information
 from trimtab.host.trace.next_flight.manoeuvres import Manoeuvre, manoeuvres
-from trimtab.host.trace.next_flight.separation import NextFlight, propose, separation
+from trimtab.host.trace.next_flight.separation import (
+    NextFlight,
+    _flown_information,
+    propose,
+    separation,
+)
 from trimtab.host.trace.parameters import ParameterSpace, space
 from trimtab.host.trace.segment_fit.fit import SegmentFit, refit
 from trimtab.host.trace.segment_fit.model import SegmentModel
@@ -113,6 +118,20 @@ def test_instruments_of_a_simulated_flight_are_those_of_the_simulator(fit: Segme
     assert 1.0 <= instruments.sigma[0] / INSTRUMENTS.sigma[0] < 2.0
     np.testing.assert_allclose(instruments.shares, 1.0, atol=0.15)
     assert instruments.voltage[0] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_flights_so_far_tell_less_if_the_sensors_are_noisier_than_stated(
+    segment_model: SegmentModel, fit: SegmentFit
+) -> None:
+    """Also where they are linearised again."""
+    noisy = replace(fit, lin=fit.lin.with_variance_factor(4.0), nuisances=fit.lin.nuisances)
+    at = noisy.lin.theta_scaled
+    same = _flown_information(segment_model, replace(noisy, theta_scaled=at), at)
+    again = _flown_information(segment_model, replace(noisy, theta_scaled=at), at + 1e-9)
+    stated = _flown_information(segment_model, replace(noisy, lin=fit.lin, theta_scaled=at), at)
+    np.testing.assert_allclose(np.diag(again), np.diag(same), rtol=0.05)
+    assert (np.diag(same) <= np.diag(stated)).all()
+    assert np.diag(same).sum() < 0.9 * np.diag(stated).sum()
 
 
 def test_instruments_of_wrong_shape_raise() -> None:

@@ -16,6 +16,7 @@ from trimtab.host.trace import evidence
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.data.signals import FlightData
+from trimtab.host.trace.next_flight.information import Instruments
 from trimtab.host.trace.parameters import RollOutDiverged, space
 from trimtab.host.trace.segment_fit import linearise
 from trimtab.host.trace.segment_fit.fit import SegmentFitter, at_parameters, refit
@@ -104,6 +105,10 @@ def test_a_fit_is_as_wide_as_the_sensors_are_noisy_whatever_they_state() -> None
     assert factors[1] == pytest.approx(4.0 * factors[0], rel=0.05)
     sds = [np.sqrt(fit.covariance[column, column]) for fit in fits]
     assert sds[1] == pytest.approx(sds[0], rel=0.05)
+    given = at_parameters(model, fits[0], (), fits[0].theta_scaled, fits[0].covariance, 0.0)
+    assert given.lin.variance_factor == pytest.approx(factors[0], rel=0.05)
+    expected = Instruments.of(replace(fits[0], lin=fits[0].lin.with_variance_factor(1.0)))
+    np.testing.assert_allclose(Instruments.of(fits[0]).sigma, np.sqrt(factors[0]) * expected.sigma)
 
 
 def test_set_whose_model_diverges_is_impossible_and_ends_no_search(monkeypatch: pytest.MonkeyPatch) -> None:
