@@ -88,14 +88,6 @@ class SearchResult(Generic[F]):
         return null_probability_of(self.posterior_weights)
 
 
-def most_parsimonious(result: SearchResult[F], within_nats: float) -> Names:
-    """Return the smallest supported set whose log evidence is within `within_nats` nats of the greatest."""
-    supported = {
-        names: value for names, value in result.log_evidence.items() if names in result.posterior_weights
-    }
-    return smallest_within(supported, within_nats)
-
-
 def smallest_within(scores: Mapping[Names, float], nats: float) -> Names:
     """Return the smallest set whose score is within `nats` of the greatest; of equal ones, the best."""
     top = max(scores.values())
@@ -143,7 +135,7 @@ class _Tried(Generic[F]):
         Scores are log evidences: of the fitted sets, and in the linearisation of the selected fit of others.
         Fitted but unsupported sets have no score.
         """
-        supported = {names: fit for names, fit in self.fits.items() if _is_supported(self.fitter, fit)}
+        supported = {names: fit for names, fit in self.fits.items() if is_supported(self.fitter, fit)}
         evidence = {names: fit.log_evidence for names, fit in supported.items()}
         selected = supported[smallest_within(evidence, RULES.tie_nats)]
         scores = self.near(selected) | evidence
@@ -202,24 +194,31 @@ def search(
         tried.fit(promising, selected)
         selected, scores = tried.select()
     # Drop all sets that contain an effect which occurs in no supported fit.
-    supported = {name for names, fit in fits.items() if _is_supported(fitter, fit) for name in names}
+    supported = {name for names, fit in fits.items() if is_supported(fitter, fit) for name in names}
     unsupported = {name for names in fits for name in names} - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
-    total = sum(weights.values())
     names = without_dispensable(selected.effects, weights)
     if names != selected.effects:
         selected = fits[names] if names in fits else fitter.fit(names, selected)
     return SearchResult(
         selected=selected,
-        inclusion_probability={
-            name: sum(weight for names, weight in weights.items() if name in names) / total
-            for name in space.candidates
-        },
+        inclusion_probability=inclusion_probabilities(weights, space.candidates),
         posterior_weights=weights,
         log_evidence={names: fit.log_evidence for names, fit in fits.items()},
     )
+
+
+def inclusion_probabilities(weights: Mapping[Names, float], candidates: Sequence[str]) -> dict[str, float]:
+    """Return the posterior probability of each candidate: the share of the sets that contain it.
+
+    weights: relative posterior probability of sets.
+    """
+    total = sum(weights.values())
+    return {
+        name: sum(weight for names, weight in weights.items() if name in names) / total for name in candidates
+    }
 
 
 def _score_about(fitter: Fitter[F], fit: F) -> tuple[Score, float]:
@@ -309,7 +308,7 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
     return [*order[:1], *more, *swapped, *fewer]
 
 
-def _is_supported(fitter: Fitter[F], fit: F) -> bool:
+def is_supported(fitter: Fitter[F], fit: F) -> bool:
     """Return whether the data supports the set.
 
     Every effect must exceed its spike and be off its bounds: an effect at a bound explains something

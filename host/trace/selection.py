@@ -26,7 +26,8 @@ from trimtab.host.trace.search import (
     Names,
     OnProgress,
     SearchResult,
-    most_parsimonious,
+    inclusion_probabilities,
+    is_supported,
     most_probable,
     null_probability_of,
     screen,
@@ -335,7 +336,8 @@ def present_effects(
 def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> SearchResult[Fit]:
     """Return the result with at most RULES.open_probability for effects that were found `absent`.
 
-    The sets with such an effect share that probability, those without any of them the rest.
+    The sets with such an effect share that probability, those without any of them the rest. The probabilities
+    of all other effects follow.
     """
     weights = dict(result.posterior_weights)
     contradicted = {names for names in weights if not set(absent).isdisjoint(names)}
@@ -345,11 +347,13 @@ def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> 
     if 0.0 < odds * without < with_one:
         factor = odds * without / with_one
         weights = {n: w * factor if n in contradicted else w for n, w in weights.items()}
-    probability = {
-        name: min(p, RULES.open_probability) if name in absent else p
-        for name, p in result.inclusion_probability.items()
-    }
-    return replace(result, inclusion_probability=probability, posterior_weights=weights)
+    probability = inclusion_probabilities(weights, tuple(result.inclusion_probability))
+    return replace(result, inclusion_probability=_capped(probability, absent), posterior_weights=weights)
+
+
+def _capped(probability: Mapping[str, float], absent: Collection[str]) -> dict[str, float]:
+    """Return the probabilities, of which those of `absent` effects are at most RULES.open_probability."""
+    return {name: min(p, RULES.open_probability) if name in absent else p for name, p in probability.items()}
 
 
 def without_artefacts_of_memory(
@@ -358,21 +362,35 @@ def without_artefacts_of_memory(
     """Drop effects that explain only the error of an effect with states of its own, such as a slung payload.
 
     The equations of a slung payload (an effect with `memory`) are not exact. Their residual is strong and
-    repeats between flights, and other effects explain a little of it.
+    repeats between flights, and other effects explain a little of it: at most a share of this residual, and
+    at most a share of what the payload explains. They are dropped one by one, the least first. A dropped
+    effect keeps a probability of at most RULES.open_probability.
 
     repeat_flights: pairs of indices of repeat flights.
     """
     selected = result.selected
-    if not any(fitter.space.effect(name).memory for name in selected.effects):
+    swinging = {name for name in selected.effects if fitter.space.effect(name).memory}
+    if not swinging:
         return result
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
     tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
     if residual is not None:
-        tie_nats = max(tie_nats, share * residual.attainable_nats(RULES))
-    names = most_parsimonious(result, tie_nats)
-    if len(names) >= len(selected.effects):
+        without = max(nats for names, nats in result.log_evidence.items() if swinging.isdisjoint(names))
+        gain_nats = selected.log_evidence - without
+        of_form = min(share * residual.attainable_nats(RULES), RULES.memory_form_share * gain_nats)
+        tie_nats = max(tie_nats, of_form)
+    fit = selected
+    while beside := [name for name in fit.effects if name not in swinging]:
+        smaller = [fitter.fit([other for other in fit.effects if other != name], fit) for name in beside]
+        supported = [each for each in smaller if is_supported(fitter, each)]
+        best = max(supported, key=lambda each: (each.log_evidence, each.effects), default=None)
+        if best is None or best.log_evidence < selected.log_evidence - tie_nats:
+            break
+        fit = best
+    if fit is selected:
         return result
-    return replace(result, selected=fitter.fit(names, selected))
+    probability = _capped(result.inclusion_probability, set(selected.effects) - set(fit.effects))
+    return replace(result, selected=fit, inclusion_probability=probability)
 
 
 def selected_set_is_judged(result: SearchResult[Any] | Diagnosis) -> bool:

@@ -119,6 +119,12 @@ class Rules:
         "If an effect with states of its own is selected, an additional effect is kept only if it gains at "
         "least this share of the nats that a perfect model would gain.",
     )
+    memory_form_share: float = _rule(
+        0.05,
+        "1",
+        "Share of the nats that an effect with states of its own gains, beyond which an additional effect is "
+        "kept in any case: the form is wrong by a fifth at most, and nats go with the square.",
+    )
     detectable_sigma: float = _rule(
         4.2, "sigma", "Separation above which an effect is detectable and two effects are distinguished."
     )
@@ -223,7 +229,7 @@ class Rules:
         MEASURED,
     )
     min_widening: float = _rule(
-        1.37,
+        1.44,
         "1",
         "Least factor by which standard deviations of flight fits are widened.",
         MEASURED,

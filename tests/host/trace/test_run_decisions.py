@@ -251,36 +251,55 @@ def test_selected_set_is_judged_unless_it_is_empty_and_improbable(
     assert selected_set_is_judged(outcome) == judged
 
 
+SWINGING = build_space(build_effect("payload", memory=2), "drag", "gain")
+
+
+def swinging_fit(effects: Names, log_evidence: float) -> FlightFit:
+    """Return a fit in which every effect is far from neutral."""
+    return build_closed_fit(effects, log_evidence=log_evidence, theta_scaled=[5.0] * len(SWINGING.columns))
+
+
 class KnownLoopFitter:
-    """Stand-in for the flight fitter that records its calls."""
+    """Stand-in for the flight fitter with the log evidence of each set; it records the sets that it fits."""
 
     loop = None
     order = len(WINDOWS)
+    space = SWINGING
+    prior = SWINGING.prior
 
-    def __init__(self, space: ParameterSpace) -> None:
-        self.space = space
+    def __init__(self, log_evidence: Mapping[Names, float]) -> None:
+        self.log_evidence = log_evidence
         self.calls: list[tuple[Names, FlightFit]] = []
 
-    def fit(self, effects: Names, start: FlightFit) -> FlightFit:
+    def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
         self.calls.append((tuple(effects), start))
-        return build_closed_fit(tuple(effects))
+        return swinging_fit(tuple(effects), self.log_evidence[tuple(effects)])
 
 
-SWINGING = build_space(build_effect("payload", memory=2), "drag", "gain")
-BOTH = build_closed_fit(("drag", "payload"), log_evidence=100.0)
+BOTH = swinging_fit(("drag", "payload"), 100.0)
+ALL = swinging_fit(("drag", "gain", "payload"), 100.0)
+FAR = {(): -1e6}
 
 
 def without_faults(
     monkeypatch: pytest.MonkeyPatch,
-    outcome: SearchResult[FlightFit],
+    selected: FlightFit,
+    log_evidence: Mapping[Names, float],
     residual: FlightRepeat | None,
-) -> tuple[SearchResult[FlightFit], KnownLoopFitter]:
-    """Return the reduced search result if the residual of whole flights repeats, and the fitter."""
+) -> tuple[SearchResult[FlightFit], SearchResult[FlightFit], KnownLoopFitter]:
+    """Return a result that selected a fit among these sets, what is left of it, and the fitter.
+
+    residual: repeatable residual of whole flights.
+    """
     monkeypatch.setattr(
         selection, "repeatability_of", lambda loop, theta_scaled, order, repeat_flights: residual
     )
-    fitter = KnownLoopFitter(SWINGING)
-    return without_artefacts_of_memory(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
+    outcome = replace(
+        build_search_result(selected, log_evidence={**FAR, **log_evidence}),
+        inclusion_probability=dict.fromkeys(selected.effects, 1.0),
+    )
+    fitter = KnownLoopFitter(log_evidence)
+    return outcome, without_artefacts_of_memory(outcome, cast(FlightFitter, fitter), [(0, 1)]), fitter
 
 
 def nats(value: float) -> FlightRepeat:
@@ -308,42 +327,74 @@ NOT_SURE = build_flight_repeat(share=10.0, z_score=2.9, size=1000)
 def test_without_artefacts_of_memory_drops_effects_that_explain_little_beside_a_swing(
     monkeypatch: pytest.MonkeyPatch, gap: float, residual: FlightRepeat | None, reduced: bool
 ) -> None:
-    outcome = build_search_result(
-        BOTH, log_evidence={BOTH.effects: 100.0, ("payload",): 100.0 - gap, (): -1e6}
-    )
-    reduced_result, fitter = without_faults(monkeypatch, outcome, residual)
+    sets = {BOTH.effects: 100.0, ("payload",): 100.0 - gap}
+    outcome, found, fitter = without_faults(monkeypatch, BOTH, sets, residual)
+    assert fitter.calls == [(("payload",), BOTH)]
     if reduced:
-        assert reduced_result.selected.effects == ("payload",)
-        assert fitter.calls == [(("payload",), BOTH)]
-        assert (reduced_result.log_evidence, reduced_result.posterior_weights) == (
-            outcome.log_evidence,
-            outcome.posterior_weights,
-        )
+        assert found.selected.effects == ("payload",)
+        assert found.inclusion_probability == {"drag": RULES.open_probability, "payload": 1.0}
+        assert found.log_evidence is outcome.log_evidence
+        assert found.posterior_weights is outcome.posterior_weights
     else:
-        assert reduced_result is outcome
-        assert fitter.calls == []
+        assert found is outcome
 
 
+@pytest.mark.parametrize(
+    ("share", "reduced"),
+    [pytest.param(BELOW, True, id="just-within"), pytest.param(ABOVE, False, id="beyond")],
+)
+def test_without_artefacts_of_memory_drops_no_more_than_an_error_of_the_swing_explains(
+    monkeypatch: pytest.MonkeyPatch, share: float, reduced: bool
+) -> None:
+    """The payload gains 1000 nats over the best set without it."""
+    gap = RULES.memory_form_share * 1000.0 * share
+    sets = {BOTH.effects: 100.0, ("payload",): 100.0 - gap, ("drag",): -900.0}
+    _, found, _ = without_faults(monkeypatch, BOTH, sets, nats(1e4))
+    assert found.selected.effects == (("payload",) if reduced else BOTH.effects)
+
+
+@pytest.mark.parametrize(
+    ("alone", "expected"),
+    [
+        pytest.param(100.0 - TIE_NATS * BELOW, ("payload",), id="both"),
+        pytest.param(100.0 - TIE_NATS * ABOVE, ("drag", "payload"), id="the-lesser"),
+    ],
+)
+def test_without_artefacts_of_memory_drops_one_effect_after_the_other(
+    monkeypatch: pytest.MonkeyPatch, alone: float, expected: Names
+) -> None:
+    sets = {
+        ALL.effects: 100.0,
+        ("drag", "payload"): 99.5,
+        ("gain", "payload"): 99.0,
+        ("payload",): alone,
+    }
+    _, found, fitter = without_faults(monkeypatch, ALL, sets, None)
+    assert found.selected.effects == expected
+    assert [names for names, _ in fitter.calls] == [("gain", "payload"), ("drag", "payload"), ("payload",)]
+    assert fitter.calls[-1][1].effects == ("drag", "payload")
+
+
+def test_without_artefacts_of_memory_keeps_the_swing_and_what_is_not_supported_without_another(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Only the swing could be dropped, or leads to a set at neutral, which is not supported."""
+    alone = swinging_fit(("payload",), 100.0)
+    assert without_faults(monkeypatch, alone, {("payload",): 100.0}, nats(1e6))[1].selected is alone
+    monkeypatch.setattr(selection, "is_supported", lambda fitter, fit: fit.effects != ("payload",))
+    sets = {BOTH.effects: 100.0, ("payload",): 100.0}
+    outcome, found, _ = without_faults(monkeypatch, BOTH, sets, nats(1e6))
+    assert found is outcome
+
+
+@pytest.mark.parametrize("effects", [(), ("drag", "gain")])
 def test_without_artefacts_of_memory_of_a_set_without_swing_is_unchanged(
-    monkeypatch: pytest.MonkeyPatch,
+    monkeypatch: pytest.MonkeyPatch, effects: Names
 ) -> None:
-    best = build_closed_fit(("drag", "gain"), log_evidence=100.0)
-    outcome = build_search_result(best, log_evidence={best.effects: 100.0, ("drag",): 100.0})
-    reduced_result, fitter = without_faults(monkeypatch, outcome, nats(1e6))
-    assert reduced_result is outcome
+    sets = {effects: 100.0, ("drag",): 100.0}
+    outcome, found, fitter = without_faults(monkeypatch, swinging_fit(effects, 100.0), sets, nats(1e6))
+    assert found is outcome
     assert fitter.calls == []
-
-
-def test_without_artefacts_of_memory_of_the_empty_set_is_unchanged(monkeypatch: pytest.MonkeyPatch) -> None:
-    outcome = build_search_result(build_closed_fit(), log_evidence={(): 0.0, ("payload",): 50.0})
-    assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
-
-
-def test_without_artefacts_of_memory_does_not_take_another_set_of_the_same_size(
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    outcome = build_search_result(BOTH, log_evidence={BOTH.effects: 100.0, ("gain", "payload"): 101.0})
-    assert without_faults(monkeypatch, outcome, nats(1e6))[0] is outcome
 
 
 RATIO = ExactAlias(effect=MASS, ratio="thrust over mass", remedy="weigh the vehicle")

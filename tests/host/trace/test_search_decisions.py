@@ -14,7 +14,6 @@ from tests.host.trace.builders import (
     build_effect,
     build_fit,
     build_parameter,
-    build_search_result,
     build_space,
     weights_of_nothing,
 )
@@ -27,10 +26,9 @@ from trimtab.host.trace.search import (
     Fitter,
     Names,
     Score,
-    _is_supported,
     _proposals,
     _underrated_sets,
-    most_parsimonious,
+    is_supported,
     most_probable,
     null_probability_of,
     search,
@@ -58,52 +56,6 @@ class PriorOnly:
 
 def prior_only(space: ParameterSpace, spike: Sequence[float] | None = None) -> Fitter[Any]:
     return cast("Fitter[Any]", PriorOnly(space, spike or [0.1] * len(space.columns)))
-
-
-@pytest.mark.parametrize(
-    ("gap", "within", "expected"),
-    [
-        pytest.param(TIE_NATS * BELOW, TIE_NATS, ("a",), id="just-within"),
-        pytest.param(TIE_NATS * ABOVE, TIE_NATS, ("a", "b"), id="just-beyond"),
-        pytest.param(8.0, 8.0, ("a",), id="at"),
-        pytest.param(7.9, 8.0, ("a",), id="as-wide-as-asked"),
-        pytest.param(0.1, 0.0, ("a", "b"), id="none-but-the-best"),
-    ],
-)
-def test_most_parsimonious_is_the_smallest_set_close_to_the_best(
-    gap: float, within: float, expected: Names
-) -> None:
-    result = build_search_result(BEST, log_evidence={("a", "b"): 32.0, ("a",): 32.0 - gap, (): -100.0})
-    assert most_parsimonious(result, within) == expected
-
-
-@pytest.mark.parametrize(
-    ("sets", "expected"),
-    [
-        pytest.param({(): 0.0}, (), id="only-nothing"),
-        pytest.param({("a",): 1.0, ("b",): 2.0, ("a", "b"): 3.0}, ("b",), id="same-size-the-likelier"),
-        pytest.param({("b",): 1.0, ("a",): 2.0, ("a", "b"): 3.0}, ("a",), id="in-any-order"),
-        pytest.param({("b",): 2.0, ("a",): 2.0}, ("a",), id="equal-by-name"),
-        pytest.param({("a",): 1.0, ("b", "c"): 3.0, (): -0.5}, ("a",), id="nothing-too-far"),
-        pytest.param({("a",): 1.0, ("b", "c"): 3.0, (): 0.5}, (), id="nothing-close"),
-    ],
-)
-def test_most_parsimonious_of_equal_size_is_the_most_probable(
-    sets: dict[Names, float], expected: Names
-) -> None:
-    assert most_parsimonious(build_search_result(BEST, log_evidence=sets), TIE_NATS) == expected
-
-
-def test_most_parsimonious_considers_only_supported_sets() -> None:
-    sets = {(): 0.0, ("a",): 8.0, ("a", "b"): 10.0, ("a", "c"): 50.0}
-    weights = {("a", "b"): 1e-9, ("a",): 1e-9, ("b", "c"): 1.0}
-    assert most_parsimonious(
-        build_search_result(BEST, log_evidence=sets, posterior_weights=weights), TIE_NATS
-    ) == ("a",)
-    without = {("a", "b"): 1.0}
-    assert most_parsimonious(
-        build_search_result(BEST, log_evidence=sets, posterior_weights=without), 100.0
-    ) == ("a", "b")
 
 
 @pytest.mark.parametrize(
@@ -259,10 +211,10 @@ BORNE = build_space("drag", build_effect("wind", requires_any=("drag", "lift")),
         pytest.param(("wind",), (1.0, 1.0, 1.0), False, id="acts-through-what-is-not-there"),
     ],
 )
-def test_a_set_is_supported_if_every_effect_is_present(
+def test_a_setis_supported_if_every_effect_is_present(
     effects: Names, theta_scaled: Sequence[float], expected: bool
 ) -> None:
-    assert _is_supported(prior_only(BORNE), build_fit(effects, theta_scaled=theta_scaled)) == expected
+    assert is_supported(prior_only(BORNE), build_fit(effects, theta_scaled=theta_scaled)) == expected
 
 
 OPEN = RULES.alias_probability

@@ -41,6 +41,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "far_error_m": 0.05,
     "worse_fit_ratio": 1.5,
     "least_gain_beside_memory": 0.1,
+    "memory_form_share": 0.05,
     "detectable_sigma": 4.2,
     "majority": 0.5,
     "open_probability": 0.5,
@@ -70,7 +71,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "excess_torque_rad_s2": 3.0,
     # Uncertainty.
     "temper": 2.0,
-    "min_widening": 1.37,
+    "min_widening": 1.44,
     "min_widening_flights": 8.0,
     "widening_prior_flights": 7.0,
     "widening_pieces": 4,
