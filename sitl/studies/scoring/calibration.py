@@ -35,6 +35,7 @@ class Measured(NamedTuple):
         Mean power of differences of repeat flights along the whitened slopes; 1 for white innovations.
     error_power
         Mean square error of the estimates over the reported variance, from chance and model error together.
+        Only estimates that depend on the data more than on their prior count.
     """
 
     repeat_share: float
@@ -102,14 +103,17 @@ def _error_power(
 ) -> float:
     """Return the mean square error of the estimates over the reported variance.
 
-    Each candidate is selected alone. `gram` (1 + P, 1 + P) is of all flights, linearised at theta_scaled
-    (P,). `true` (P,) are the deviations of the build.
+    Each candidate is selected alone. The estimate of what does not act in these flights, such as a payload's
+    swing without a payload, stays at the mean of its prior and has no error. Estimates whose variance exceeds
+    half that of their prior therefore do not count. `gram` (1 + P, 1 + P) is of all flights, linearised at
+    theta_scaled (P,). `true` (P,) are the deviations of the build.
     """
     squares = []
     for candidate in chosen.candidates:
         precision = prior_of(chosen).precision((candidate,))
         mine = list(chosen.groups[candidate])
         step, covariance = evidence.posterior(gram, theta_scaled, precision)
-        error = (theta_scaled + step - true)[mine]
-        squares.append(error**2 / np.diag(covariance)[mine])
+        error, variance = (theta_scaled + step - true)[mine], np.diag(covariance)[mine]
+        informed = variance * precision[mine] < 0.5
+        squares.append(error[informed] ** 2 / variance[informed])
     return float(np.concatenate(squares).mean())
