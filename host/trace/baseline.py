@@ -55,7 +55,10 @@ def check_baseline(
         return unexplained_residual(disturbance_left(fit, theta_scaled), fit.data, pairs, axial=thrust_known)
 
     bounds = residual_bounds(
-        residual(np.where(of_effects, 0.0, fit.theta_scaled)), has_memory=False, rules=RULES
+        residual(np.where(of_effects, 0.0, fit.theta_scaled)),
+        has_effects=False,
+        has_memory=False,
+        rules=RULES,
     )
     findings = residual_findings(residual(fit.theta_scaled), bounds, RULES)
     if findings:

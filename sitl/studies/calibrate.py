@@ -142,7 +142,7 @@ def calibrated(scores: Sequence[Mapping[str, float]], seed: int) -> dict[str, di
 
 
 def rules_of(table: np.ndarray) -> np.ndarray:
-    """Return flight_repeat_share, temper and min_widening from the worlds' numbers (worlds, 3).
+    """Return flight_repeat_chance, temper and min_widening from the worlds' numbers (worlds, 3).
 
     The share is the 95 % quantile over worlds, so that chance exceeds it in one world in twenty. The temper
     is a mean power. The widening is a root mean square.

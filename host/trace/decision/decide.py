@@ -224,6 +224,7 @@ def _outside(inputs: DecisionInputs, rules: Rules) -> tuple[list[Finding], Unexp
     repeat = inputs.residual.flight_repeat
     bounds = residual_bounds(
         inputs.residual_without,
+        has_effects=bool(inputs.selected) or not is_null_open(inputs.null_probability),
         has_memory=inputs.has_memory,
         position_m=0.0 if repeat is None else repeat.position_m,
         rules=rules,

@@ -37,26 +37,34 @@ def no_effect_bounds(rules: Rules) -> ResidualBounds:
 
 
 def residual_bounds(
-    without: UnexplainedResidual, *, has_memory: bool, position_m: float = 0.0, rules: Rules
+    without: UnexplainedResidual,
+    *,
+    has_effects: bool,
+    has_memory: bool,
+    position_m: float = 0.0,
+    rules: Rules,
 ) -> ResidualBounds:
     """Return the bounds on the residual of the selected set.
 
     No effect's equation is exact, so the bounds grow with the residual without effects, on which the selected
     set must improve. A great position error is no such inexactness, unless an effect has states of its own.
+    If no effect is selected, no more of whole flights may repeat than by chance.
 
-    without: residual of the model without effects. has_memory: whether an effect with states of its own is
-    selected. position_m: position error of whole flights that repeats with the set.
+    without: residual of the model without effects. has_effects: whether any effect is selected. has_memory:
+    whether one with states of its own is. position_m: position error of whole flights that repeats with the
+    set.
     """
-    share, worsened_m = 0.0, math.inf
+    share = rules.flight_repeat_share if has_effects else rules.flight_repeat_chance
+    worsened_m = math.inf
     if without.flight_repeat is not None:
-        if has_memory or position_m <= rules.equation_error_m:
-            share = rules.equation_error_amplitude**2 * without.flight_repeat.share
+        if has_effects and (has_memory or position_m <= rules.equation_error_m):
+            share = max(share, rules.equation_error_amplitude**2 * without.flight_repeat.share)
         worsened_m = max(rules.worsened_m, rules.worsened_ratio * without.flight_repeat.position_m)
     return ResidualBounds(
         force=max(rules.force_floor_m_s2, rules.equation_error_share * without.force.repeat),
         torque=max(rules.torque_floor_rad_s2, rules.equation_error_share * without.torque.repeat),
         line_ratio=rules.line_ratio_with_memory if has_memory else rules.line_ratio,
-        flight_share=max(rules.flight_repeat_share, share),
+        flight_share=share,
         position_m=worsened_m,
     )
 

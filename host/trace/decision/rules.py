@@ -186,10 +186,16 @@ class Rules:
         "turbulence and noise; a finding arises "
         "if the estimate minus `repeat_standard_errors` standard errors exceeds it.",
     )
+    flight_repeat_chance: float = _rule(
+        0.03,
+        "1",
+        "The same bound if no effect is selected: then no inexact equation repeats, and by chance less does.",
+    )
     repeat_standard_errors: float = _rule(
         2.0,
         "standard errors",
-        "Subtracted from the estimate before it is compared with `flight_repeat_share`.",
+        "Subtracted from the estimate before it is compared with `flight_repeat_share` or "
+        "`flight_repeat_chance`.",
     )
     equation_error_amplitude: float = _rule(
         0.2,

@@ -46,7 +46,7 @@ class Measured(NamedTuple):
 def rules_in_force() -> dict[str, float]:
     """Return the measured rules, in the order of `Measured`."""
     return {
-        "flight_repeat_share": RULES.flight_repeat_share,
+        "flight_repeat_chance": RULES.flight_repeat_chance,
         "temper": RULES.temper,
         "min_widening": RULES.min_widening,
     }

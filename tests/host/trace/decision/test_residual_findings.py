@@ -309,7 +309,7 @@ def test_flights_repeat_is_listed_before_flights_worsened() -> None:
 def test_bounds_increase_with_the_residual_without_effects(
     missing: dict[str, Any], expected: dict[str, float]
 ) -> None:
-    bounds = residual_bounds(build_residual(**missing), has_memory=False, rules=RULES)
+    bounds = residual_bounds(build_residual(**missing), has_effects=True, has_memory=False, rules=RULES)
     assert asdict(bounds) == pytest.approx(asdict(no_effect_bounds(RULES)) | expected)
 
 
@@ -325,9 +325,21 @@ def test_great_position_error_is_no_inexact_equation(
     position_m: float, has_memory: bool, grown: bool
 ) -> None:
     without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
-    bounds = residual_bounds(without, has_memory=has_memory, position_m=position_m, rules=RULES)
+    bounds = residual_bounds(
+        without, has_effects=True, has_memory=has_memory, position_m=position_m, rules=RULES
+    )
     expected = 25.0 * RULES.equation_error_amplitude**2 if grown else RULES.flight_repeat_share
     assert bounds.flight_share == pytest.approx(expected)
+
+
+@pytest.mark.parametrize("has_memory", [False, True])
+def test_without_an_effect_no_more_repeats_than_by_chance(has_memory: bool) -> None:
+    """Whatever the build's deviations leave at neutral: no equation of an effect can be inexact."""
+    without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
+    bounds = residual_bounds(without, has_effects=False, has_memory=has_memory, rules=RULES)
+    assert bounds.flight_share == RULES.flight_repeat_chance
+    others = residual_bounds(without, has_effects=True, has_memory=has_memory, rules=RULES)
+    assert replace(bounds, flight_share=0.0) == replace(others, flight_share=0.0)
 
 
 def test_bounds_are_never_below_the_given_rules() -> None:
@@ -344,7 +356,7 @@ def test_bounds_are_never_below_the_given_rules() -> None:
         torque=build_channel(repeat=50.0),
         flight_repeat=build_flight_repeat(share=25.0, position_m=0.2),
     )
-    assert residual_bounds(without, has_memory=False, rules=strict) == ResidualBounds(
+    assert residual_bounds(without, has_effects=True, has_memory=False, rules=strict) == ResidualBounds(
         force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0, position_m=5.0
     )
     assert no_effect_bounds(strict) == ResidualBounds(force=7.0, torque=8.0, line_ratio=9.0, flight_share=6.0)
@@ -362,7 +374,7 @@ def test_bounds_are_never_below_the_given_rules() -> None:
 def test_line_must_be_stronger_with_an_effect_with_states(
     name: str, line: float, has_memory: bool, count: int
 ) -> None:
-    bounds = residual_bounds(build_residual(), has_memory=has_memory, rules=RULES)
+    bounds = residual_bounds(build_residual(), has_effects=True, has_memory=has_memory, rules=RULES)
     assert codes_in(build_residual(**ringing(name, line)), bounds) == [RINGS[name]] * count
 
 

@@ -58,7 +58,7 @@ def test_gusts_alone_repeat_by_chance_only():
     each = [repeat_of(ResidualsOnly(seed)) for seed in range(30)]
     assert abs(np.mean([r.z_score for r in each])) < 0.6
     assert 0.5 < np.std([r.z_score for r in each]) < 1.5
-    assert max(r.share for r in each) < RULES.flight_repeat_share / 3
+    assert max(r.share for r in each) < RULES.flight_repeat_chance
 
 
 @pytest.mark.parametrize("physics", [0.6, 2.0])
@@ -95,7 +95,7 @@ def test_a_small_part_of_the_explained_residual_may_repeat():
     calm_flights = replace(by_segments(force=0.0), flight_repeat=repeat_of(ResidualsOnly(4, 0.7)))
     missing = replace(by_segments(force=1.0), flight_repeat=repeat_of(ResidualsOnly(4, 7.0)))
     assert codes(calm_flights)
-    bounds = residual_bounds(missing, has_memory=False, rules=RULES)
+    bounds = residual_bounds(missing, has_effects=True, has_memory=False, rules=RULES)
     assert residual_findings(calm_flights, bounds, RULES) == []
 
 

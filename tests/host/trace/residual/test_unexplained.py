@@ -61,7 +61,7 @@ def codes(residual: UnexplainedResidual) -> list[Code]:
 
 def codes_beside(residual: UnexplainedResidual, without: UnexplainedResidual) -> list[Code]:
     """Return the same for a selected set, if `without` is the residual without effects."""
-    bounds = residual_bounds(without, has_memory=False, rules=RULES)
+    bounds = residual_bounds(without, has_effects=True, has_memory=False, rules=RULES)
     return [finding.code for finding in residual_findings(residual, bounds, RULES)]
 
 
