@@ -193,12 +193,25 @@ def version() -> str:
     return metadata.version("trimtab")
 
 
+CHANGED = "-dirty"
+"""End of `git_state` if files of the checkout differ from its commit."""
+
+
 def git_state() -> str | None:
-    """Return the commit of the checkout of this code, with -dirty for changes; None outside a checkout."""
+    """Return the commit of the checkout of this code, with CHANGED for changes; None outside a checkout."""
     root = Path(__file__).resolve().parents[2]
     if not (root / ".git").exists():
         return None
-    command = ["git", "-C", str(root), "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
+    command = [
+        "git",
+        "-C",
+        str(root),
+        "describe",
+        "--always",
+        f"--dirty={CHANGED}",
+        "--abbrev=12",
+        "--exclude=*",
+    ]
     try:
         answer = subprocess.run(command, capture_output=True, check=False, timeout=10)
     except (OSError, subprocess.TimeoutExpired):

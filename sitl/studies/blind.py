@@ -17,7 +17,7 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
-from trimtab.host.base.artefacts import git_state, version
+from trimtab.host.base.artefacts import CHANGED, git_state, version
 from trimtab.host.base.output import say
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.base.shards import Shard, ShardDone
@@ -172,14 +172,20 @@ def run(  # noqa: PLR0913 (one keyword for each option)
 def _identity(seed: int, secret: Path | None) -> tuple[dict[str, Any], dict[str, Any]]:
     """Return what the folder records of the source of the worlds, and what the report publishes.
 
-    A study with a secret also records its program: it cannot be resumed with another one.
+    A study with a secret also records its program: it cannot be resumed with another one. Raises StudyError
+    if files of that program are changed and not committed, since nobody else would have them.
     """
     if secret is None:
         return {"seed": seed}, {"seed": seed, "secret": None, "secret_sha256": None}
+    program = git_state()
+    if program is not None and program.endswith(CHANGED):
+        raise StudyError(
+            f"--secret: this program has changes that are not committed ({program}); commit them"
+        )
     text = read_secret(secret)
     digest = commitment(text)
     say(f"the worlds come from a secret with SHA-256 {digest}; publish it before the study ends")
-    identity = {"secret_sha256": digest, "program": [version(), git_state()]}
+    identity = {"secret_sha256": digest, "program": [version(), program]}
     return identity, {"seed": None, "secret": text, "secret_sha256": digest}
 
 

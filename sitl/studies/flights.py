@@ -134,7 +134,10 @@ def _fly_all(world: PlannedWorld, folder: Path, references: Path, vehicle: str, 
         (folder / place).mkdir(exist_ok=True)
         for name, route, index in programme.still(each="battery-sag" in world.kinds):
             log = folder / place / f"{name}.mcap"
-            _fly(world, still.toml(still=True), references / route, index, vehicle, log)
+            whole = _fly(world, still.toml(still=True), references / route, index, vehicle, log)
+            if world.wide and not whole:
+                _truth_path(log).unlink()
+                return False
     return True
 
 

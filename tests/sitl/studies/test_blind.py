@@ -20,11 +20,12 @@ from trimtab.host.base.pieces import alone_in
 from trimtab.host.vehicle import load_vehicle
 from trimtab.host.vehicle.strict_toml import read_strict
 from trimtab.sitl.draw import draw_world
-from trimtab.sitl.studies import blind
+from trimtab.sitl.studies import blind, flights
 from trimtab.sitl.studies.files import Ledger, SealBroken, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
     FLIGHTS,
     SCORE,
+    STILL,
     TRUTH,
     VERDICT,
     Programme,
@@ -247,3 +248,25 @@ def test_world_that_the_vehicle_cannot_fly_is_drawn_again(
     assert (truth["redrawn"], truth["seed"]) == (1, redrawn_seed(seed, 1))
     assert truth["effects"]["motor-lag"]["extra_s"] == lateness(truth["seed"])[1]
     assert {path.name for path in (folder / FLIGHTS).iterdir()} == {"one-1.mcap", "two.mcap"}
+
+
+def test_world_that_fails_in_still_air_is_drawn_again(
+    tmp_path: Path, short_programme: Programme, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The effective values come from these flights. Nothing is flown here: the logs are empty."""
+    world = PlannedWorld(name="0000", kind_class="single", kinds=("mass",), seed=7, turbulence=1.0, wide=True)
+    flown: list[tuple[int, str]] = []
+
+    def pretend(drawn: PlannedWorld, file: str, _: Path, __: int, ___: str, log: Path) -> bool:
+        flown.append((drawn.seed, log.parent.name))
+        (log.parent.parent / flights._WORLD).write_text(file)
+        log.write_bytes(b"")
+        truth = {"world_seed": drawn.seed, "effects": {}, "deviations": {}, "turbulence": {}}
+        flights._truth_path(log).write_text(json.dumps(truth))
+        return drawn.seed != world.seed or log.parent.name != STILL
+
+    monkeypatch.setattr(flights, "_fly", pretend)
+    fly_and_seal(world, tmp_path, tmp_path, "research", short_programme)
+    assert read_json(tmp_path / TRUTH)["redrawn"] == 1
+    assert [seed for seed, place in flown if place == STILL].count(world.seed) == 1
+    assert flown[-1] == (redrawn_seed(world.seed, 1), STILL)

@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 
+from trimtab.host.base.artefacts import CHANGED
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.shards import Shard, ShardDone
 from trimtab.sitl.studies import blind, commandline, flights
@@ -59,6 +60,7 @@ def test_study_commits_to_its_secret_before_the_first_world(
 ) -> None:
     """Nothing is flown here: the shard is one without worlds."""
     monkeypatch.setattr(blind, "plan_thin_references", lambda *_: None)
+    monkeypatch.setattr(blind, "git_state", lambda: "0123456789ab")
     usual: dict[str, Any] = {"worlds": 6, "vehicle": "research", "jobs": 1, "programme": short_programme}
     usual |= {"folder": tmp_path / "state", "shard": Shard(index=99, count=99)}
     with pytest.raises(ShardDone):
@@ -71,6 +73,15 @@ def test_study_commits_to_its_secret_before_the_first_world(
     assert commitment(secret) in capsys.readouterr().out
     with pytest.raises(UsageError, match="another secret_sha256"):
         blind.run(seed=1, secret=tmp_path / "other", **usual)
+
+
+def test_secret_is_not_used_with_a_program_that_nobody_else_has(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(blind, "git_state", lambda: f"0123456789ab{CHANGED}")
+    with pytest.raises(StudyError, match=r"--secret: .*not committed \(0123456789ab-dirty\); commit them"):
+        blind.run(folder=tmp_path / "state", seed=1, vehicle="research", jobs=1, secret=tmp_path / "s")
+    assert not list(tmp_path.iterdir())
 
 
 def test_program_on_its_own_is_given_no_path_but_its_folder(
