@@ -9,6 +9,7 @@ import numpy as np
 
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.decide import DecisionInputs
+from trimtab.host.trace.flight_fit.loop import Tracking
 from trimtab.host.trace.parameters import RollOutDiverged
 from trimtab.host.trace.residual.unexplained import unexplained_residual
 from trimtab.host.trace.search import Names, most_probable
@@ -22,7 +23,7 @@ def gather_inputs(
     diagnosis: Diagnosis,
     repeat_flights: Sequence[tuple[int, int]],
     unknown: frozenset[str],
-    tracking: tuple[float, float, float],
+    tracking: Tracking,
 ) -> DecisionInputs:
     """Return the numbers that the verdict depends on.
 
@@ -37,10 +38,9 @@ def gather_inputs(
     unknown
         What the logs do not determine, as words such as "torque".
     tracking
-        Result of `trimtab.host.trace.flight_fit.loop.amount_of_tracking`.
+        How much the flights track.
     """
     selected, null_fit = diagnosis.selected, diagnosis.null_fit
-    tracking_s, extent_m, pose_interval_s = tracking
     axial = "thrust" not in unknown
     after, before = diagnosis.repeatability
     residual = unexplained_residual(*_remainder(segment_model, diagnosis), repeat_flights, axial=axial)
@@ -71,9 +71,7 @@ def gather_inputs(
             if by_segments or repeat_flights or not selected.effects
             else segment_disagreement_nats(segment_model, null_fit, selected.effects)
         ),
-        tracking_s=tracking_s,
-        extent_m=extent_m,
-        pose_interval_s=pose_interval_s,
+        **tracking._asdict(),
         compared=segment_model.space.rolled is not segment_model.space,
     )
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, TypeVar
+from typing import Annotated, NamedTuple, TypeVar
 
 import numpy as np
 
@@ -383,17 +383,31 @@ def closed_loop(
     return ClosedLoop(recordings, vehicle, space, speeds=speeds, jobs=jobs)
 
 
-def amount_of_tracking(flights: Sequence[FlightData]) -> tuple[float, float, float]:
-    """Return how much the flights track.
+class Tracking(NamedTuple):
+    """How much flights track.
 
-    These are the tracking time of all flights in s, the greatest extent of one along a NED axis in m, and the
-    longest median interval between the poses of one in s.
+    Attributes
+    ----------
+    tracking_s
+        Tracking time of all flights.
+    extent_m
+        Greatest extent of one of them along a NED axis.
+    pose_interval_s
+        Longest median interval between the poses of one of them.
     """
+
+    tracking_s: float
+    extent_m: float
+    pose_interval_s: float
+
+
+def amount_of_tracking(flights: Sequence[FlightData]) -> Tracking:
+    """Return how much the flights track."""
     signals = [data.signals for data in flights]
-    return (
-        sum(s.span_s[1] - s.span_s[0] for s in signals),
-        max(_extent(s) for s in signals),
-        max(round(pose_interval_s(s), 6) for s in signals),  # stamps are whole microseconds
+    return Tracking(
+        tracking_s=sum(s.span_s[1] - s.span_s[0] for s in signals),
+        extent_m=max(_extent(s) for s in signals),
+        pose_interval_s=max(round(pose_interval_s(s), 6) for s in signals),  # stamps are whole microseconds
     )
 
 

@@ -36,6 +36,7 @@ from trimtab.host.trace.decision.findings import Code, LogsRefused
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import FlightFit
 from trimtab.host.trace.flight_fit.fitter import FlightFitter
+from trimtab.host.trace.flight_fit.loop import Tracking
 from trimtab.host.trace.flight_fit.whitening import WINDOWS
 from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
 from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
@@ -628,7 +629,7 @@ def inputs_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, (12.0, 1.5, 0.02))
+        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, Tracking(12.0, 1.5, 0.02))
 
     return gather
 
