@@ -74,13 +74,14 @@ class SearchResult(Generic[F]):
 
     selected: fit of the selected set. inclusion_probability: posterior probability of each candidate.
     posterior_weights: relative posterior probability of each supported set. log_evidence: of every fitted
-    set, in nats.
+    set, in nats. absent: effects that were dropped from the selected set after the search.
     """
 
     selected: F
     inclusion_probability: Mapping[str, float]
     posterior_weights: Mapping[Names, float]
     log_evidence: Mapping[Names, float]
+    absent: frozenset[str] = frozenset()
 
     @property
     def null_probability(self) -> float:

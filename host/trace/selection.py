@@ -348,12 +348,17 @@ def without_contradicted(result: SearchResult[Fit], absent: Collection[str]) -> 
         factor = odds * without / with_one
         weights = {n: w * factor if n in contradicted else w for n, w in weights.items()}
     probability = inclusion_probabilities(weights, tuple(result.inclusion_probability))
-    return replace(result, inclusion_probability=_capped(probability, absent), posterior_weights=weights)
+    return _without(replace(result, inclusion_probability=probability, posterior_weights=weights), absent)
 
 
-def _capped(probability: Mapping[str, float], absent: Collection[str]) -> dict[str, float]:
-    """Return the probabilities, of which those of `absent` effects are at most RULES.open_probability."""
-    return {name: min(p, RULES.open_probability) if name in absent else p for name, p in probability.items()}
+def _without(result: SearchResult[Fit], absent: Collection[str]) -> SearchResult[Fit]:
+    """Return the result in which `absent` effects, too, have at most RULES.open_probability."""
+    all_absent = result.absent.union(absent)
+    probability = {
+        name: min(p, RULES.open_probability) if name in all_absent else p
+        for name, p in result.inclusion_probability.items()
+    }
+    return replace(result, inclusion_probability=probability, absent=all_absent)
 
 
 def without_artefacts_of_memory(
@@ -389,8 +394,7 @@ def without_artefacts_of_memory(
         fit = best
     if fit is selected:
         return result
-    probability = _capped(result.inclusion_probability, set(selected.effects) - set(fit.effects))
-    return replace(result, selected=fit, inclusion_probability=probability)
+    return _without(replace(result, selected=fit), set(selected.effects) - set(fit.effects))
 
 
 def selected_set_is_judged(result: SearchResult[Any] | Diagnosis) -> bool:

@@ -206,6 +206,23 @@ def test_without_contradicted_caps_the_probability_of_what_the_refit_does_not_fi
     assert capped.inclusion_probability == pytest.approx(expected)
 
 
+def test_what_was_dropped_before_stays_improbable() -> None:
+    """Its sets keep their weight if it was dropped as an artefact of a swing."""
+    weights = {("drag", "gain", "lag"): 8.0, ("drag", "lag"): 1.0, ("drag",): 1.0}
+    outcome = replace(
+        build_search_result(build_closed_fit(("drag", "lag"))),
+        posterior_weights=weights,
+        inclusion_probability={"drag": 1.0, "gain": OPEN, "lag": 0.9},
+        absent=frozenset({"gain"}),
+    )
+    capped = without_contradicted(outcome, ("lag",))
+    assert capped.absent == {"gain", "lag"}
+    assert capped.inclusion_probability == pytest.approx({"drag": 1.0, "gain": 4 / 9, "lag": OPEN})
+    every = {("drag", "gain"): 1.0, ("drag", "gain", "lag"): 1e-3}
+    again = without_contradicted(replace(outcome, posterior_weights=every), ("lag",))
+    assert again.inclusion_probability["gain"] == OPEN
+
+
 def test_without_contradicted_caps_the_probability_if_every_set_has_the_effect() -> None:
     weights = {("drag",): 3.0, ("drag", "gain"): 1.0}
     outcome = replace(
