@@ -381,9 +381,8 @@ def without_artefacts_of_memory(
     tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
     if residual is not None:
         without = max(nats for names, nats in result.log_evidence.items() if swinging.isdisjoint(names))
-        gain_nats = selected.log_evidence - without
-        of_form = min(share * residual.attainable_nats(RULES), RULES.memory_form_share * gain_nats)
-        tie_nats = max(tie_nats, of_form)
+        of_form = RULES.memory_form_share * max(selected.log_evidence - without, 0.0)
+        tie_nats = max(tie_nats, min(share * residual.attainable_nats(RULES), tie_nats + of_form))
     fit = selected
     while beside := [name for name in fit.effects if name not in swinging]:
         smaller = [fitter.fit([other for other in fit.effects if other != name], fit) for name in beside]

@@ -120,10 +120,10 @@ class Rules:
         "least this share of the nats that a perfect model would gain.",
     )
     memory_form_share: float = _rule(
-        0.05,
+        0.01,
         "1",
-        "Share of the nats that an effect with states of its own gains, beyond which an additional effect is "
-        "kept in any case: the form is wrong by a fifth at most, and nats go with the square.",
+        "Share of the nats that an effect with states of its own gains. An additional effect that exceeds it "
+        "by `odds` is kept in any case: the form is wrong by about a tenth, and nats go with the square.",
     )
     detectable_sigma: float = _rule(
         4.2, "sigma", "Separation above which an effect is detectable and two effects are distinguished."

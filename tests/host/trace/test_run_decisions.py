@@ -348,7 +348,7 @@ def test_without_artefacts_of_memory_drops_no_more_than_an_error_of_the_swing_ex
     monkeypatch: pytest.MonkeyPatch, share: float, reduced: bool
 ) -> None:
     """The payload gains 1000 nats over the best set without it."""
-    gap = RULES.memory_form_share * 1000.0 * share
+    gap = (TIE_NATS + RULES.memory_form_share * 1000.0) * share
     sets = {BOTH.effects: 100.0, ("payload",): 100.0 - gap, ("drag",): -900.0}
     _, found, _ = without_faults(monkeypatch, BOTH, sets, nats(1e4))
     assert found.selected.effects == (("payload",) if reduced else BOTH.effects)

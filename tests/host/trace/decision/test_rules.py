@@ -41,7 +41,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "far_error_m": 0.05,
     "worse_fit_ratio": 1.5,
     "least_gain_beside_memory": 0.1,
-    "memory_form_share": 0.05,
+    "memory_form_share": 0.01,
     "detectable_sigma": 4.2,
     "majority": 0.5,
     "open_probability": 0.5,
