@@ -48,16 +48,17 @@ def residual_bounds(
 
     No effect's equation is exact, so the bounds grow with the residual without effects, on which the selected
     set must improve. A great position error is no such inexactness, unless an effect has states of its own.
-    If no effect is selected, no more of whole flights may repeat than by chance.
+    If no effect is selected and a visible position error repeats, no more may repeat than by chance.
 
     without: residual of the model without effects. has_effects: whether any effect is selected. has_memory:
     whether one with states of its own is. position_m: position error of whole flights that repeats with the
     set.
     """
-    share = rules.flight_repeat_share if has_effects else rules.flight_repeat_chance
-    worsened_m = math.inf
+    share, worsened_m = rules.flight_repeat_share, math.inf
     if without.flight_repeat is not None:
-        if has_effects and (has_memory or position_m <= rules.equation_error_m):
+        if not has_effects and position_m > rules.visible_error_m:
+            share = rules.flight_repeat_chance
+        elif has_memory or position_m <= rules.equation_error_m:
             share = max(share, rules.equation_error_amplitude**2 * without.flight_repeat.share)
         worsened_m = max(rules.worsened_m, rules.worsened_ratio * without.flight_repeat.position_m)
     return ResidualBounds(

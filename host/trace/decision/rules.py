@@ -189,7 +189,13 @@ class Rules:
     flight_repeat_chance: float = _rule(
         0.03,
         "1",
-        "The same bound if no effect is selected: then no inexact equation repeats, and by chance less does.",
+        "The same bound if no effect is selected and a position error of more than `visible_error_m` "
+        "repeats: by chance, less does.",
+    )
+    visible_error_m: float = _rule(
+        0.003,
+        "m",
+        "Smaller errors may come from the inexact forms of deviations within wide tolerances.",
     )
     repeat_standard_errors: float = _rule(
         2.0,

@@ -332,14 +332,24 @@ def test_great_position_error_is_no_inexact_equation(
     assert bounds.flight_share == pytest.approx(expected)
 
 
-@pytest.mark.parametrize("has_memory", [False, True])
-def test_without_an_effect_no_more_repeats_than_by_chance(has_memory: bool) -> None:
-    """Whatever the build's deviations leave at neutral: no equation of an effect can be inexact."""
+@pytest.mark.parametrize(
+    ("position_m", "has_effects", "by_chance"),
+    [
+        pytest.param(RULES.visible_error_m * BELOW, False, False, id="too-small-to-see"),
+        pytest.param(RULES.visible_error_m * ABOVE, False, True, id="visible"),
+        pytest.param(RULES.visible_error_m * ABOVE, True, False, id="visible-beside-an-effect"),
+    ],
+)
+def test_without_an_effect_no_more_repeats_visibly_than_by_chance(
+    position_m: float, has_effects: bool, by_chance: bool
+) -> None:
+    """Whatever the build's deviations leave at neutral."""
     without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
-    bounds = residual_bounds(without, has_effects=False, has_memory=has_memory, rules=RULES)
-    assert bounds.flight_share == RULES.flight_repeat_chance
-    others = residual_bounds(without, has_effects=True, has_memory=has_memory, rules=RULES)
-    assert replace(bounds, flight_share=0.0) == replace(others, flight_share=0.0)
+    bounds = residual_bounds(
+        without, has_effects=has_effects, has_memory=False, position_m=position_m, rules=RULES
+    )
+    inexact = 25.0 * RULES.equation_error_amplitude**2
+    assert bounds.flight_share == pytest.approx(RULES.flight_repeat_chance if by_chance else inexact)
 
 
 def test_bounds_are_never_below_the_given_rules() -> None:

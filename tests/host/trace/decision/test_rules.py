@@ -61,6 +61,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "excited_power_share": 0.02,
     "flight_repeat_share": 0.08,
     "flight_repeat_chance": 0.03,
+    "visible_error_m": 0.003,
     "repeat_standard_errors": 2.0,
     "equation_error_amplitude": 0.2,
     "equation_error_m": 0.01,
