@@ -22,6 +22,8 @@ from trimtab.host.base.text import readable
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Error numbers for a file that cannot be written completely. The user can fix these; they are not bugs."""
 LOG_SUFFIX = ".mcap"
+CHANGED = "-dirty"
+"""End of `git_state` if files of the checkout differ from its commit."""
 SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
 """Options that reveal the content of a simulated world. Every provenance leaves them out."""
 
@@ -191,10 +193,6 @@ def write_recorded(path: Path, content: bytes, record: Mapping[str, Any], force:
 def version() -> str:
     """Return the installed version of Trimtab."""
     return metadata.version("trimtab")
-
-
-CHANGED = "-dirty"
-"""End of `git_state` if files of the checkout differ from its commit."""
 
 
 def git_state() -> str | None:

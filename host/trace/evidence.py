@@ -18,7 +18,7 @@ evidence averages over smaller standard deviations too (`_gain_of_sizes`).
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -364,17 +364,21 @@ def _evidence_and_slope(
 
 
 def fit_noise(
-    lin: Linearisation, prior: Prior, selected: Sequence[str], start: DisturbanceVariances
+    lin: Linearisation,
+    prior: Prior,
+    selected: Sequence[str],
+    start: DisturbanceVariances,
+    step_of: Callable[[MarginalGrams], Annotated[np.ndarray, "parameters"]],
 ) -> tuple[Linearisation, DisturbanceVariances, MarginalGrams]:
-    """Fit the process disturbance and the variance of the sensor noise at the point of a linearisation.
+    """Fit the process disturbance and the variance of the sensor noise.
 
     Returns the linearisation with that variance, the process of greatest evidence and the Grams with both.
-    prior, selected, start: as for `fit_process`.
+    prior, selected, start: as for `fit_process`. step_of: step of the scaled parameters, given the Grams,
+    after which the residual is judged.
     """
-    still = np.zeros(lin.parameters)
     process = fit_process(lin, prior, selected, start)
     white = marginal_grams(lin, process, prior)
-    factor = variance_factor(lin, white, still)
+    factor = variance_factor(lin, white, step_of(white))
     if factor != lin.variance_factor:
         lin = lin.with_variance_factor(factor)
         process = fit_process(lin, prior, selected, process)

@@ -251,12 +251,13 @@ def _fitted_nuisances(
     if not len(data.flight):
         return nuisances
     prior, process = segment_model.space.prior, starting_process(data)
+    fixed = np.zeros(len(theta_scaled))
     basis = linearise.basis(segment_model, data, theta_scaled, nuisances)
     for _ in range(3):
         lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
         data = data.with_x0(x0)
-        lin, process, white = evidence.fit_noise(lin, prior, (), process)
-        nuisances = nuisances + evidence.nuisance_step(lin, white, prior, np.zeros(len(theta_scaled)))
+        lin, process, white = evidence.fit_noise(lin, prior, (), process, lambda _: fixed)
+        nuisances = nuisances + evidence.nuisance_step(lin, white, prior, fixed)
     return nuisances
 
 

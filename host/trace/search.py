@@ -111,14 +111,14 @@ class _Tried(Generic[F]):
     """The sets that a search has fitted, each with the best of its fits.
 
     starts: by set, the start of its latest fit. nearby: by set, the fit about which `near` was computed, and
-    the scores.
+    what it returned.
     """
 
     fitter: Fitter[F]
     on_progress: OnProgress
     fits: dict[Names, F]
     starts: dict[Names, F] = field(default_factory=dict)
-    nearby: dict[Names, tuple[F, dict[Names, float]]] = field(default_factory=dict)
+    nearby: dict[Names, tuple[F, Score, dict[Names, float]]] = field(default_factory=dict)
 
     def fit(self, names: Names, start: F) -> None:
         """Fit a set, unless its latest fit had the same start."""
@@ -139,18 +139,18 @@ class _Tried(Generic[F]):
         supported = {names: fit for names, fit in self.fits.items() if is_supported(self.fitter, fit)}
         evidence = {names: fit.log_evidence for names, fit in supported.items()}
         selected = supported[smallest_within(evidence, RULES.tie_nats)]
-        scores = self.near(selected) | evidence
+        scores = self.near(selected)[1] | evidence
         return selected, {n: value for n, value in scores.items() if n in supported or n not in self.fits}
 
-    def near(self, selected: F) -> dict[Names, float]:
-        """Return the scores of sets near the selected one in its linearisation."""
-        about, scores = self.nearby.get(selected.effects, (None, {}))
-        if about is not selected:
+    def near(self, selected: F) -> tuple[Score, dict[Names, float]]:
+        """Return the score in the linearisation of the selected fit, and the scores of sets near its set."""
+        about = self.nearby.get(selected.effects)
+        if about is None or about[0] is not selected:
             depth = min(RULES.max_effects, len(selected.effects) + 1)
-            score, shift = _score_about(self.fitter, selected)
-            scores = {n: value + shift for n, value in screen(self.fitter.space, score, depth).items()}
-            self.nearby[selected.effects] = selected, scores
-        return scores
+            score = _score_about(self.fitter, selected)
+            about = selected, score, screen(self.fitter.space, score, depth)
+            self.nearby[selected.effects] = about
+        return about[1:]
 
 
 def search(
@@ -184,7 +184,7 @@ def search(
             break
         current = best
     selected, scores = tried.select()
-    for names in _underrated_sets(fitter, selected, scores):
+    for names in _underrated_sets(space, selected, scores, tried.near(selected)[0]):
         tried.fit(names, selected)
     selected, scores = tried.select()
     # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
@@ -222,21 +222,24 @@ def inclusion_probabilities(weights: Mapping[Names, float], candidates: Sequence
     }
 
 
-def _score_about(fitter: Fitter[F], fit: F) -> tuple[Score, float]:
-    """Return the scorer of a fit, and what to add to its scores to compare them with log evidences."""
+def _score_about(fitter: Fitter[F], fit: F) -> Score:
+    """Return the scorer of a fit, with scores that can be compared with log evidences."""
     score = fitter.scorer(fit)
-    return score, fit.log_evidence - score([fit.effects])[0]
+    shift = fit.log_evidence - score([fit.effects])[0]
+    return lambda sets: [value + shift for value in score(sets)]
 
 
-def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, float]) -> list[Names]:
+def _underrated_sets(
+    space: ParameterSpace, selected: Fitted, scores: Mapping[Names, float], score: Score
+) -> list[Names]:
     """Return sets to fit from the selected fit: those that the screening or an earlier fit may underrate.
 
     These are the selected set without one of its effects, and sets in which an effect stands in place of its
     aliases. The linearisation does not contain the form of an effect that is absent
     (`ParameterSpace.forms`), so it underrates these. An earlier fit of a smaller set may have ended in
-    another minimum. scores: of the sets near the selected one, and of the empty set.
+    another minimum. scores: of the sets near the selected one, and of the empty set. score: that in the
+    linearisation of the selected fit.
     """
-    space = fitter.space
     trials = [tuple(other for other in selected.effects if other != name) for name in selected.effects]
     for name in space.candidates:
         replaced = [other for other in selected.effects if space.are_aliases(name, other)]
@@ -248,9 +251,8 @@ def _underrated_sets(fitter: Fitter[F], selected: F, scores: Mapping[Names, floa
     if not trials:
         return []
     margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
-    score, shift = _score_about(fitter, selected)
     found = zip(trials, score(trials), strict=True)
-    return [names for names, value in found if value + shift > selected.log_evidence - margin]
+    return [names for names, value in found if value > selected.log_evidence - margin]
 
 
 def without_dispensable(selected: Names, weights: Mapping[Names, float]) -> Names:

@@ -123,18 +123,14 @@ def fly_and_seal(
 
 def _fly_all(world: PlannedWorld, folder: Path, references: Path, vehicle: str, programme: Programme) -> bool:
     """Fly all flights of a world, and return whether it counts: not if it is `wide` and a flight failed."""
-    (folder / FLIGHTS).mkdir(parents=True, exist_ok=True)
-    for name, route, index in programme.flights():
-        log = folder / FLIGHTS / f"{name}.mcap"
-        whole = _fly(world, world.toml(), references / route, index, vehicle, log)
-        if world.wide and not whole:
-            _truth_path(log).unlink()
-            return False
-    for place, still in _still_worlds(world).items():
-        (folder / place).mkdir(exist_ok=True)
-        for name, route, index in programme.still(each="battery-sag" in world.kinds):
+    still = programme.still(each="battery-sag" in world.kinds)
+    places = {FLIGHTS: (world.toml(), programme.flights())}
+    places |= {place: (each.toml(still=True), still) for place, each in _still_worlds(world).items()}
+    for place, (file, flights) in places.items():
+        (folder / place).mkdir(parents=True, exist_ok=True)
+        for name, route, index in flights:
             log = folder / place / f"{name}.mcap"
-            whole = _fly(world, still.toml(still=True), references / route, index, vehicle, log)
+            whole = _fly(world, file, references / route, index, vehicle, log)
             if world.wide and not whole:
                 _truth_path(log).unlink()
                 return False

@@ -282,11 +282,8 @@ def refit(
             lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, basis)
             data = data.with_x0(x0)
             lin = lin.with_variance_factor(factor)
-        process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
-        factor = evidence.variance_factor(lin, white, step)
-        if factor != lin.variance_factor:
-            lin = lin.with_variance_factor(factor)
-            process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
+        lin, process, white, step, covariance = _linear_step(lin, process, prior, effects, space)
+        factor = lin.variance_factor
         largest = (np.abs(step) / np.sqrt(np.diag(covariance))).max()
         small = np.abs(step).max() < _SETTLED_STEP
         settled = small or (iteration >= 1 and largest < SEGMENTS_SETTLED)
@@ -330,15 +327,15 @@ def _linear_step(
     prior: Prior,
     effects: Sequence[str],
     space: ParameterSpace,
-) -> tuple[DisturbanceVariances, evidence.MarginalGrams, np.ndarray, np.ndarray]:
-    """Return the process of greatest evidence from `process`, the Grams with it, step and covariance."""
-    process = evidence.fit_process(lin, prior, effects, process)
-    white = evidence.marginal_grams(lin, process, prior)
-    precision = prior.precision(effects)
-    step, covariance = evidence.bounded_step(
-        white.gram, lin.theta_scaled, precision, space.bounds, space.added
-    )
-    return process, white, step, covariance
+) -> tuple[Linearisation, DisturbanceVariances, evidence.MarginalGrams, np.ndarray, np.ndarray]:
+    """Return the results of `evidence.fit_noise` from `process`, and step and covariance with them."""
+    at, precision = lin.theta_scaled, prior.precision(effects)
+
+    def bounded(white: evidence.MarginalGrams) -> tuple[np.ndarray, np.ndarray]:
+        return evidence.bounded_step(white.gram, at, precision, space.bounds, space.added)
+
+    lin, process, white = evidence.fit_noise(lin, prior, effects, process, lambda grams: bounded(grams)[0])
+    return lin, process, white, *bounded(white)
 
 
 def at_parameters(
@@ -377,7 +374,7 @@ def at_parameters(
             data = undisturbed(data)
             lin, x0 = linearise.linearise(segment_model, data, theta_scaled, nuisances, start.basis)
         data = data.with_x0(x0)
-        lin, process, white = evidence.fit_noise(lin, prior, effects, process)
+        lin, process, white = evidence.fit_noise(lin, prior, effects, process, lambda _: fixed)
         nuisance_step = evidence.nuisance_step(lin, white, prior, fixed)
         nuisances = nuisances + nuisance_step
         passes -= 1

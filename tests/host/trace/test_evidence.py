@@ -163,7 +163,7 @@ def test_noise_and_process_are_fitted_together(dense: Dense, freedom: int) -> No
     """With little freedom the residual is too large for the stated noise, with much it is not."""
     stated = replace(dense.lin, freedom=freedom)
     still = np.zeros(P)
-    lin, process, white = evidence.fit_noise(stated, PRIOR, ("a",), PROCESS)
+    lin, process, white = evidence.fit_noise(stated, PRIOR, ("a",), PROCESS, lambda _: still)
     first = evidence.fit_process(stated, PRIOR, ("a",), PROCESS)
     factor = evidence.variance_factor(stated, evidence.marginal_grams(stated, first, PRIOR), still)
     assert lin.variance_factor == factor

@@ -27,6 +27,7 @@ from trimtab.host.trace.search import (
     Names,
     Score,
     _proposals,
+    _score_about,
     _underrated_sets,
     is_supported,
     most_probable,
@@ -301,9 +302,9 @@ def known(fitted: Mapping[Names, float], screened: Mapping[Names, float]) -> Kno
 
 def underrated(selected: Names, screened: Mapping[Names, float], gained: float) -> list[Names]:
     """Return the sets to fit if the selected one gains so many nats, in a scale shifted by 7 nats."""
-    fitter = known({}, screened)
+    fitter = cast("Fitter[FlightFit]", known({}, screened))
     fit = build_closed_fit(selected, log_evidence=gained + 7.0)
-    return _underrated_sets(cast("Fitter[FlightFit]", fitter), fit, {(): 7.0})
+    return _underrated_sets(fitter.space, fit, {(): 7.0}, _score_about(fitter, fit))
 
 
 SHARE = RULES.form_share

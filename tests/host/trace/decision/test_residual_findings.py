@@ -313,43 +313,29 @@ def test_bounds_increase_with_the_residual_without_effects(
     assert asdict(bounds) == pytest.approx(asdict(no_effect_bounds(RULES)) | expected)
 
 
+INEXACT = 25.0 * RULES.equation_error_amplitude**2
+"""Share that may repeat if the model without effects leaves 25 and equations are inexact."""
+
+
 @pytest.mark.parametrize(
-    ("position_m", "has_memory", "grown"),
+    ("position_m", "has_effects", "has_memory", "expected"),
     [
-        pytest.param(RULES.equation_error_m * BELOW, False, True, id="small"),
-        pytest.param(RULES.equation_error_m * ABOVE, False, False, id="great"),
-        pytest.param(RULES.equation_error_m * ABOVE, True, True, id="great-beside-memory"),
+        pytest.param(RULES.equation_error_m * BELOW, True, False, INEXACT, id="small"),
+        pytest.param(RULES.equation_error_m * ABOVE, True, False, RULES.flight_repeat_share, id="great"),
+        pytest.param(RULES.equation_error_m * ABOVE, True, True, INEXACT, id="great-beside-memory"),
+        pytest.param(RULES.visible_error_m * ABOVE, True, False, INEXACT, id="visible-beside-an-effect"),
+        pytest.param(RULES.visible_error_m * BELOW, False, False, INEXACT, id="too-small-to-see"),
+        pytest.param(RULES.visible_error_m * ABOVE, False, False, RULES.flight_repeat_chance, id="visible"),
     ],
 )
-def test_great_position_error_is_no_inexact_equation(
-    position_m: float, has_memory: bool, grown: bool
+def test_great_position_error_is_no_inexact_equation_and_a_visible_one_is_an_effect(
+    position_m: float, has_effects: bool, has_memory: bool, expected: float
 ) -> None:
     without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
     bounds = residual_bounds(
-        without, has_effects=True, has_memory=has_memory, position_m=position_m, rules=RULES
+        without, has_effects=has_effects, has_memory=has_memory, position_m=position_m, rules=RULES
     )
-    expected = 25.0 * RULES.equation_error_amplitude**2 if grown else RULES.flight_repeat_share
     assert bounds.flight_share == pytest.approx(expected)
-
-
-@pytest.mark.parametrize(
-    ("position_m", "has_effects", "by_chance"),
-    [
-        pytest.param(RULES.visible_error_m * BELOW, False, False, id="too-small-to-see"),
-        pytest.param(RULES.visible_error_m * ABOVE, False, True, id="visible"),
-        pytest.param(RULES.visible_error_m * ABOVE, True, False, id="visible-beside-an-effect"),
-    ],
-)
-def test_without_an_effect_no_more_repeats_visibly_than_by_chance(
-    position_m: float, has_effects: bool, by_chance: bool
-) -> None:
-    """Whatever the build's deviations leave at neutral."""
-    without = build_residual(flight_repeat=build_flight_repeat(share=25.0))
-    bounds = residual_bounds(
-        without, has_effects=has_effects, has_memory=False, position_m=position_m, rules=RULES
-    )
-    inexact = 25.0 * RULES.equation_error_amplitude**2
-    assert bounds.flight_share == pytest.approx(RULES.flight_repeat_chance if by_chance else inexact)
 
 
 def test_bounds_are_never_below_the_given_rules() -> None:
