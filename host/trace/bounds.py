@@ -19,25 +19,6 @@ def with_added(
     return theta_scaled + sign * np.where(added >= 0, theta_scaled[..., added], 0.0)
 
 
-def minimise_in_box(
-    normal: Annotated[np.ndarray, "... parameters parameters"],
-    minimum: Annotated[np.ndarray, "... parameters"],
-    lower: Annotated[np.ndarray, "parameters"],
-    upper: Annotated[np.ndarray, "parameters"],
-) -> Annotated[np.ndarray, "... parameters"]:
-    """Return approximate minimisers of quadratics between `lower` and `upper`.
-
-    normal: Hessian of each quadratic. minimum: its unconstrained minimum. Components that cross a bound are
-    fixed there, and the others are solved again until none crosses.
-    """
-    fixed, at = np.zeros(minimum.shape, dtype=bool), minimum
-    bound = np.clip(minimum, lower, upper)
-    while ((at < lower) | (at > upper)).any():
-        fixed |= (at < lower) | (at > upper)
-        at = _minimum_with_fixed(normal, minimum, fixed, bound)
-    return at
-
-
 def minimise_sums(
     normal: Annotated[np.ndarray, "... parameters parameters"],
     minimum: Annotated[np.ndarray, "... parameters"],
@@ -69,8 +50,7 @@ def exact_minimum(
     normal, minimum: Hessian and unconstrained minimum of each quadratic. A component that crosses a bound is
     fixed there, and one whose gradient points off its bound is freed: all at once in the first _BLOCK_PIVOTS
     changes, then the last such component alone, which cannot cycle (Judice and Pires 1994). If the pivoting
-    does not end, its last point is clipped. `minimise_in_box` frees none, which is inaccurate where
-    many parameters that resemble each other reach bounds, as those of two sets of flights do.
+    does not end, its last point is clipped.
     """
     side, at = np.zeros(minimum.shape, dtype=int), minimum
     for pivot in range(_PIVOTS):

@@ -25,7 +25,7 @@ from typing import Annotated
 import numpy as np
 from scipy.optimize import minimize
 
-from trimtab.host.trace.bounds import minimise_in_box, minimise_sums
+from trimtab.host.trace.bounds import exact_minimum, minimise_sums
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.linearisation import DisturbanceVariances, Linearisation, innovation_root
 
@@ -209,7 +209,7 @@ def _minimise_within(
 ) -> Annotated[np.ndarray, "... parameters"]:
     """Return the steps from theta_scaled to the minima of quadratics; added: of `Prior`."""
     if added is None:
-        return minimise_in_box(normal, minimum, limits[0] - theta_scaled, limits[1] - theta_scaled)
+        return exact_minimum(normal, minimum, limits[0] - theta_scaled, limits[1] - theta_scaled)
     return minimise_sums(normal, minimum, theta_scaled, limits, added)
 
 

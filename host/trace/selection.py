@@ -185,7 +185,7 @@ def _from_segments(
     """Select the effects from segments. The search starts at `start`, a fit without effects."""
     segment_model = fitter.segment_model
     space = segment_model.space
-    result = search(fitter, start, on_progress)
+    result = without_shares_of_unsupported(search(fitter, start, on_progress), fitter)
     covariance = inflated_segment_covariance(space, result.selected)
     confirmed = with_present_effects(result, fitter, result.selected, covariance)
     if confirmed is not result:
@@ -361,6 +361,22 @@ def _without(result: SearchResult[Fit], absent: Collection[str]) -> SearchResult
     return replace(result, inclusion_probability=probability, absent=all_absent)
 
 
+def without_shares_of_unsupported(
+    result: SearchResult[SegmentFit], fitter: Fitter[SegmentFit]
+) -> SearchResult[SegmentFit]:
+    """Drop effects that may explain only a part of what a better but unsupported set explains.
+
+    Such a set has an effect at its bounds or within its tolerance, so its cause is not in the library. What
+    that cause does resembles the signals of other effects in part: with a correlation c, an effect that is
+    absent gains the share c^2 of the nats (`RULES.unsupported_share`). Effects are dropped one by one, the
+    least first. A dropped effect keeps a probability of at most RULES.open_probability.
+    """
+    better = max(result.log_evidence.values()) - result.selected.log_evidence
+    if better < RULES.tie_nats:
+        return result
+    return _without_least(result, fitter, RULES.unsupported_share * better)
+
+
 def without_artefacts_of_memory(
     result: SearchResult[FlightFit], fitter: FlightFitter, repeat_flights: Sequence[tuple[int, int]]
 ) -> SearchResult[FlightFit]:
@@ -383,12 +399,19 @@ def without_artefacts_of_memory(
         without = max(nats for names, nats in result.log_evidence.items() if swinging.isdisjoint(names))
         of_form = RULES.memory_form_share * max(selected.log_evidence - without, 0.0)
         tie_nats = max(tie_nats, min(share * residual.attainable_nats(RULES), tie_nats + of_form))
-    fit = selected
-    while beside := [name for name in fit.effects if name not in swinging]:
+    return _without_least(result, fitter, tie_nats, keep=swinging)
+
+
+def _without_least(
+    result: SearchResult[Fit], fitter: Fitter[Fit], nats: float, keep: Collection[str] = ()
+) -> SearchResult[Fit]:
+    """Drop effects one by one, the least first, until the set is `nats` below the selected one."""
+    selected = fit = result.selected
+    while beside := [name for name in fit.effects if name not in keep]:
         smaller = [fitter.fit([other for other in fit.effects if other != name], fit) for name in beside]
         supported = [each for each in smaller if is_supported(fitter, each)]
         best = max(supported, key=lambda each: (each.log_evidence, each.effects), default=None)
-        if best is None or best.log_evidence < selected.log_evidence - tie_nats:
+        if best is None or best.log_evidence < selected.log_evidence - nats:
             break
         fit = best
     if fit is selected:

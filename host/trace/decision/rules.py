@@ -125,6 +125,12 @@ class Rules:
         "Share of the nats that an effect with states of its own gains. An additional effect that exceeds it "
         "by `odds` is kept in any case: the form is wrong by about a tenth, and nats go with the square.",
     )
+    unsupported_share: float = _rule(
+        0.25,
+        "1",
+        "If a set that is not supported explains segments better, an effect is kept only if it gains more "
+        "than this share of that difference: signals of unlike effects are correlated by less than a half.",
+    )
     detectable_sigma: float = _rule(
         4.2, "sigma", "Separation above which an effect is detectable and two effects are distinguished."
     )

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear, minimize
+from scipy.optimize import lsq_linear
 
-from trimtab.host.trace.bounds import exact_minimum, minimise_in_box, minimise_sums
+from trimtab.host.trace.bounds import exact_minimum, minimise_sums
 
 
 def random_quadratics(count: int, size: int) -> tuple[np.ndarray, np.ndarray]:
@@ -43,20 +43,3 @@ def test_limits_of_a_parameter_that_adds_to_another_are_those_of_the_sum() -> No
     assert at + step == pytest.approx([2.0, -2.0])
     free = minimise_sums(np.eye(2), np.array([1.0, 3.0]) - at, at, limits, added)
     assert at + free == pytest.approx([1.0, 3.0])
-
-
-def test_minimise_in_box_agrees_with_a_bounded_search() -> None:
-    rng = np.random.default_rng(4)
-    for _ in range(5):
-        A = rng.standard_normal((9, 3))
-        normal, step = A.T @ A, rng.standard_normal(3)
-        lower, upper = np.array([-0.3, -9.0, -9.0]), np.array([9.0, 0.4, 9.0])
-
-        def rise(at: np.ndarray, step: np.ndarray = step, normal: np.ndarray = normal) -> float:
-            return float((at - step) @ normal @ (at - step))
-
-        best = minimize(rise, np.zeros(3), bounds=list(zip(lower, upper, strict=True)), tol=1e-14)
-        held = minimise_in_box(normal, step, lower, upper)
-        assert np.all((held >= lower) & (held <= upper))
-        assert rise(held) == pytest.approx(best.fun, abs=1e-6)
-    assert np.array_equal(minimise_in_box(np.eye(2), np.ones(2), -np.ones(2), 2.0 * np.ones(2)), np.ones(2))

@@ -41,13 +41,19 @@ from trimtab.host.trace.flight_fit.whitening import WINDOWS
 from trimtab.host.trace.gathering import gather_inputs, segment_disagreement_nats
 from trimtab.host.trace.parameters import ParameterSpace, RollOutDiverged
 from trimtab.host.trace.residual.unexplained import FlightRepeat, UnexplainedResidual
-from trimtab.host.trace.search import Names, SearchResult
+from trimtab.host.trace.search import Fitter, Names, SearchResult
 from trimtab.host.trace.segment_fit.fit import SegmentFit
 from trimtab.host.trace.segment_fit.model import SegmentModel
-from trimtab.host.trace.selection import Method, selected_set_is_judged, without_artefacts_of_memory
+from trimtab.host.trace.selection import (
+    Method,
+    selected_set_is_judged,
+    without_artefacts_of_memory,
+    without_shares_of_unsupported,
+)
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
 TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
+SHARE = RULES.unsupported_share
 OTHER = VEHICLE.replace(mass_kg=0.8)
 WEIGHED = 0.005
 """Tolerance of the mass below which the vehicle was weighed."""
@@ -396,6 +402,32 @@ def test_without_artefacts_of_memory_of_a_set_without_swing_is_unchanged(
     outcome, found, fitter = without_faults(monkeypatch, swinging_fit(effects, 100.0), sets, nats(1e6))
     assert found is outcome
     assert fitter.calls == []
+
+
+@pytest.mark.parametrize(
+    ("gain", "better", "reduced"),
+    [
+        pytest.param(SHARE * 80.0 * BELOW, 80.0, True, id="gains-less-than-its-share"),
+        pytest.param(SHARE * 80.0 * ABOVE, 80.0, False, id="gains-more-than-its-share"),
+        pytest.param(0.0, TIE_NATS * BELOW, False, id="no-better-set"),
+    ],
+)
+def test_without_shares_of_unsupported_drops_what_a_better_set_that_is_not_supported_leaves_open(
+    gain: float, better: float, reduced: bool
+) -> None:
+    both = swinging_fit(("drag", "gain"), 100.0)
+    sets = {both.effects: 100.0, ("drag",): 100.0 - gain, ("gain",): -1e6, ("payload",): 100.0 + better}
+    outcome = replace(
+        build_search_result(both, log_evidence={**FAR, **sets}),
+        inclusion_probability=dict.fromkeys(both.effects, 1.0),
+    )
+    fitter = cast(Fitter[SegmentFit], KnownLoopFitter({**FAR, **sets}))
+    found = without_shares_of_unsupported(cast(SearchResult[SegmentFit], outcome), fitter)
+    if reduced:
+        assert found.selected.effects == ("drag",)
+        assert found.inclusion_probability == {"drag": 1.0, "gain": RULES.open_probability}
+    else:
+        assert found is outcome
 
 
 RATIO = ExactAlias(effect=MASS, ratio="thrust over mass", remedy="weigh the vehicle")

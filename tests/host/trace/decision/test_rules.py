@@ -42,6 +42,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "worse_fit_ratio": 1.5,
     "least_gain_beside_memory": 0.1,
     "memory_form_share": 0.01,
+    "unsupported_share": 0.25,
     "detectable_sigma": 4.2,
     "majority": 0.5,
     "open_probability": 0.5,
