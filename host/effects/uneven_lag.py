@@ -3,22 +3,45 @@
 from __future__ import annotations
 
 from trimtab.host.effects.effect import Closing, Effect
-from trimtab.host.effects.parameter import Parameter
+from trimtab.host.effects.parameter import Parameter, form
 from trimtab.host.effects.unknowns import MOTOR_LAG, THRUST
+
+_ROUNDING = 0.8
+"""Mean of |n| of normal noise of unit power: by how much noise rounds the corner between the two lags."""
+_LEAST = 1e-12
+
+
+def _driven(ops, theta, command_n, hover_n):
+    ratio, fast_share = theta
+    return command_n * (1.0 + _raised(ops, ratio, fast_share))
+
+
+def _raised(ops, ratio, fast_share):
+    """Return by which share fast commands raise the mean thrust, since it rises faster than it falls."""
+    return 0.5 * _ROUNDING * fast_share * (ratio - 1.0) / ops.sqrt(ratio)
 
 
 def _factor(ops, theta, driven_n, thrust_n):
+    # The rate of the mean thrust is p d + q sqrt(d^2 + n^2), a hyperbola between the two lags. d: what the
+    # mean command lacks, n: noise of the commands. p, q: mean and half difference of the rates over the lag.
     # Both time constants have the mean of the vehicle file.
-    ratio = theta[0]
-    return ops.where(driven_n > thrust_n, 2.0, 2.0 * ratio) / (1.0 + ratio)
+    ratio, fast_share = theta
+    noise_n = _ROUNDING * fast_share * driven_n
+    raised_n = driven_n * _raised(ops, ratio, fast_share)
+    lacking_n = driven_n - raised_n - thrust_n
+    corner = noise_n * noise_n + _LEAST
+    rising = (lacking_n - raised_n) / (
+        ops.sqrt(lacking_n * lacking_n + corner) + ops.sqrt(raised_n * raised_n + corner)
+    )
+    return 4.0 * ratio / ((1.0 + ratio) * (1.0 + ratio + (ratio - 1.0) * rising))
 
 
 EFFECT = Effect(
     name="uneven-lag",
     title="Uneven motor lag",
     family="timing",
-    equation="dT_i/dt = (T_i,command - T_i) / (lag f), f = 2 / (1 + ratio) if T_i,command > T_i, else "
-    "2 ratio / (1 + ratio)",
+    equation="dT_i/dt = (p d + q sqrt(d^2 + (0.8 fast_share T_i,command)^2)) / lag, d = T_i,command - T_i, "
+    "p = (1 + ratio)^2 / (4 ratio), q = (ratio^2 - 1) / (4 ratio)",
     source="motor controllers without active braking: drag alone slows a propeller down, 1.5-3 times as "
     "slowly as the motor speeds it up",
     parameters=(
@@ -32,6 +55,8 @@ EFFECT = Effect(
             upper=10.0,
             description="time constant of slowing down over that of speeding up; their mean stays",
         ),
+        # Fast commands, which answer noise of the sensors, blur which of the two lags acts.
+        form("fast_share", 0.01, 0.0, 0.1, "fast part of the commands over the thrust, rms", neutral=0.01),
     ),
     aliases=("motor-lag", "dead-zone"),
     observable="fast changes of thrust with the gyro or the rotor speeds logged",
@@ -42,5 +67,6 @@ EFFECT = Effect(
         law=None,
         no_law="rotors cannot be made to slow down faster; turn on active braking in the motor controllers",
     ),
+    driven_thrust_n=_driven,
     lag_factor=_factor,
 )

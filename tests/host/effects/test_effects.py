@@ -123,10 +123,26 @@ def test_motor_lag_slows_the_rotor_thrusts():
 @pytest.mark.parametrize("ratio", [1.0, 3.0])
 def test_uneven_lag_slows_falling_thrust_and_hastens_rising_thrust(ratio):
     rising, falling = level(thrust=1.0), level(thrust=3.0)
-    theta = [(EFFECTS["uneven-lag"], (ratio,))]
+    theta = [(EFFECTS["uneven-lag"], (ratio, 0.0))]
     up, down = rates(theta, rising)[12:], rates(theta, falling)[12:]
-    np.testing.assert_allclose(up, 0.5 * (1.0 + ratio) * rates([], rising)[12:], rtol=1e-13)
-    np.testing.assert_allclose(down, 0.5 * (1.0 + ratio) / ratio * rates([], falling)[12:], rtol=1e-13)
+    np.testing.assert_allclose(up, 0.5 * (1.0 + ratio) * rates([], rising)[12:], rtol=1e-10)
+    np.testing.assert_allclose(down, 0.5 * (1.0 + ratio) / ratio * rates([], falling)[12:], rtol=1e-10)
+
+
+@pytest.mark.parametrize("ratio", [0.6, 1.0, 3.0])
+@pytest.mark.parametrize("lacking", [-4.0, -1.0, -0.2, 0.0, 0.2, 1.0, 4.0])
+def test_uneven_lag_of_noisy_commands_is_the_mean_over_the_noise(ratio, lacking):
+    """Commands are 2 N with normal noise; their mean is `lacking` standard deviations above the thrust."""
+    noise_n = 0.01 * 2.0
+    thrust_n = 2.0 - lacking * noise_n
+    parts = [(EFFECTS["uneven-lag"], (ratio, 0.01))]
+    (driven_n,) = slots.driven_thrusts_n(FLOAT, VEHICLE, parts, [2.0])
+    (lag_s,) = slots.rotor_lags_s(FLOAT, parts, 1.0, [driven_n], [thrust_n])
+    points, weights = np.polynomial.hermite_e.hermegauss(200)
+    command_n = 2.0 + noise_n * points - thrust_n
+    over_lag = np.where(command_n > 0.0, 0.5 * (1.0 + ratio), 0.5 * (1.0 + ratio) / ratio)
+    mean = float(np.average(command_n * over_lag, weights=weights))
+    assert (driven_n - thrust_n) / lag_s == pytest.approx(mean, abs=0.08 * abs(ratio - 1.0) * noise_n + 1e-9)
 
 
 def test_dead_zone_holds_the_thrust_of_its_middle():

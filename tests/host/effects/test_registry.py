@@ -41,6 +41,7 @@ FORMS = {
     "thrust-inflow": ("saturation", "damping"),
     "torque-bias": ("thrust_share",),
     "translational-lift": ("rotor_share", "saturation"),
+    "uneven-lag": ("fast_share",),
 }
 """Keys of the form of the effect, which follow the others."""
 
