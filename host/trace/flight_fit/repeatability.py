@@ -28,6 +28,7 @@ from trimtab.host.trace.flight_fit.whitening import (
     usable_bins,
     whitened,
 )
+from trimtab.host.trace.parameters import RollOutDiverged
 from trimtab.host.trace.residual.unexplained import FlightRepeat
 
 _SHIFT_STEP = 5
@@ -102,7 +103,9 @@ def turbulence(
 def refit_with_turbulence_whitening(
     loop: ClosedLoop, fit: FlightFit, order: int, repeat_flights: Sequence[tuple[int, int]]
 ) -> FlightFit:
-    """Return `fit` refitted with the whitening of turbulence; without repeat flights, `fit` itself.
+    """Return `fit` refitted with the whitening of turbulence.
+
+    Returns `fit` itself without repeat flights, or if the refit leads to where the model diverges.
 
     The search whitens by the whole residual of a set, so a residual that no effect explains counts as noise
     and cannot lead to the selection of an effect. To estimate the size of an effect, only chance should count
@@ -113,7 +116,10 @@ def refit_with_turbulence_whitening(
     white = turbulence(loop, fit.theta_scaled, order, repeat_flights)
     if white is None:
         return fit
-    theta_scaled, covariance, grams, at = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
+    try:
+        theta_scaled, covariance, grams, at = fit_with_whitening(loop, white, fit.effects, fit.theta_scaled)
+    except RollOutDiverged:
+        return fit
     return replace(fit, theta_scaled=theta_scaled, at=at, covariance=covariance, whitening=white, grams=grams)
 
 

@@ -16,6 +16,7 @@ from trimtab.host.trace.flight_fit.loop import ClosedLoop
 from trimtab.host.trace.flight_fit.recording import FLIGHT_BIN_S
 from trimtab.host.trace.flight_fit.repeatability import refit_with_turbulence_whitening, turbulence
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, Whitening
+from trimtab.host.trace.parameters import RollOutDiverged
 
 LONG = 200
 REPEAT_FLIGHTS = [(0, 1)]
@@ -105,6 +106,14 @@ def test_in_turbulence_refits_if_repeat_flights_are_long_enough(
     np.testing.assert_array_equal(refitted.grams, grams)
     assert refitted.whitening is whitenings[0]
     assert (refitted.effects, refitted.log_evidence) == (FIT.effects, FIT.log_evidence)
+
+
+def test_in_turbulence_keeps_the_fit_if_the_model_diverges(monkeypatch: pytest.MonkeyPatch) -> None:
+    def diverges(*_: object) -> None:
+        raise RollOutDiverged("the model with slung-payload diverges on these flights")
+
+    monkeypatch.setattr(module, "fit_with_whitening", diverges)
+    assert refit_with_turbulence_whitening(loop_of(), FIT, 1, REPEAT_FLIGHTS) is FIT
 
 
 def test_in_turbulence_counts_only_bins_known_in_both_repeat_flights(whitenings: list[Whitening]) -> None:
