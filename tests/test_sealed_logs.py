@@ -51,10 +51,12 @@ def opened_truth(verdict: dict[str, Any]) -> dict[str, dict[str, float]]:
 def test_trace_of_sealed_logs_names_missing_effects_alone_and_lists_the_weakest_one_as_possible(
     answer: dict[str, Any],
 ) -> None:
-    """Four flights of this length do not show the weakest effect for sure, the lag."""
+    """Four flights of this length do not show the weakest effect for sure, the lag: it may stay undecided."""
     named, truth = {effect["name"] for effect in answer["effects"]}, set(opened_truth(answer))
     possible = {effect["name"]: effect["probability"] for effect in answer["possible"]}
-    assert answer["verdict"] == "traced"
+    undecided = {effect["name"] for effect in answer["effects"] if effect["aliases"]}
+    assert answer["verdict"] == ("undecided" if undecided else "traced")
+    assert undecided <= {"motor-lag"}
     assert named <= truth
     assert len(truth - named) <= 1
     assert truth - named <= {name for name, probability in possible.items() if probability > 0.5}
