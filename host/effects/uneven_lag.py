@@ -8,7 +8,8 @@ from trimtab.host.effects.unknowns import MOTOR_LAG, THRUST
 
 _ROUNDING = 0.8
 """Mean of |n| of normal noise of unit power: by how much noise rounds the corner between the two lags."""
-_LEAST = 1e-18
+_LEAST = 1e-30
+"""Least square of a thrust, N^2, under the roots: their slopes are finite without noise."""
 
 
 def _driven(ops, theta, command_n, hover_n):

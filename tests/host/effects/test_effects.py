@@ -125,8 +125,8 @@ def test_uneven_lag_slows_falling_thrust_and_hastens_rising_thrust(ratio):
     rising, falling = level(thrust=1.0), level(thrust=3.0)
     theta = [(EFFECTS["uneven-lag"], (ratio, 0.0))]
     up, down = rates(theta, rising)[12:], rates(theta, falling)[12:]
-    np.testing.assert_allclose(up, 0.5 * (1.0 + ratio) * rates([], rising)[12:], rtol=1e-8)
-    np.testing.assert_allclose(down, 0.5 * (1.0 + ratio) / ratio * rates([], falling)[12:], rtol=1e-8)
+    np.testing.assert_allclose(up, 0.5 * (1.0 + ratio) * rates([], rising)[12:], rtol=1e-13)
+    np.testing.assert_allclose(down, 0.5 * (1.0 + ratio) / ratio * rates([], falling)[12:], rtol=1e-13)
 
 
 @pytest.mark.parametrize("ratio", [0.6, 1.0, 3.0])
