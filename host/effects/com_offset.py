@@ -16,7 +16,7 @@ def _inertia(ops, theta, mass_kg):
     # A share s of the mass moved by d: r = s d, and about the new centre J grows by s m d^2 - m r^2.
     x, y, spread = theta
     roll, pitch = spread * mass_kg * y * y, spread * mass_kg * x * x
-    return (roll, pitch, roll + pitch)
+    return (roll, pitch, roll + pitch, -spread * mass_kg * x * y)
 
 
 def _axis(key: str, direction: str) -> Parameter:
@@ -37,7 +37,7 @@ EFFECT = Effect(
     title="Offset of the centre of mass",
     family="torque",
     equation="tau_frd = -(x, y, 0) x (0, 0, -T) = (y T, -x T, 0); "
-    "J = J_nominal + spread m diag(y^2, x^2, x^2 + y^2)",
+    "J = J_nominal + spread m (r^2 I - r r^T), r = (x, y, 0)",
     source="2-10 mm after a change of battery or payload; rigid-body statics, parallel axis theorem",
     parameters=(
         _axis("x", "ahead"),

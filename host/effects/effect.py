@@ -212,7 +212,7 @@ class Effect:
     inertia_factors
         Factors (3,) on the principal moments of inertia.
     added_inertia_kg_m2
-        Moments of inertia (3,) that are added to the principal ones, given the mass, kg.
+        What is added to the inertia matrix (4,), given the mass, kg: its elements xx, yy, zz and xy.
     wind_ned
         Velocity of the air (3,), m/s.
     gravity_ned

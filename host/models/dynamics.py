@@ -74,13 +74,7 @@ def rigid_body(  # noqa: PLR0913 (an equation of many variables)
         fx, fy, fz = load.specific_force_frd
         ax, ay, az = mat_vec(R, (fx, fy, fz - up))
         a = (ax, ay, az + GRAVITY)
-    jx, jy, jz = inertia(ops, vehicle, effects, load.mass)
-    wx, wy, wz = rate
-    alpha = (
-        (tau[0] - (jz - jy) * wy * wz) / jx,
-        (tau[1] - (jx - jz) * wz * wx) / jy,
-        (tau[2] - (jy - jx) * wx * wy) / jz,
-    )
+    alpha = _angular_acceleration(inertia(ops, vehicle, effects, load.mass), rate, tau)
     tilted = gravity_ned(ops, effects)
     if tilted is not None:
         a = add(a, tilted)
@@ -89,6 +83,23 @@ def rigid_body(  # noqa: PLR0913 (an equation of many variables)
     if rate_dot_frd is not None:
         alpha = add(alpha, rate_dot_frd)
     return [*v, *a, *euler_rates(ops, x[THETA], rate), *alpha]
+
+
+def _angular_acceleration(
+    elements: Sequence[Scalar], rate: Sequence[Scalar], tau: Sequence[Scalar]
+) -> tuple[Scalar, Scalar, Scalar]:
+    """Return J^-1 (tau - rate x J rate), rad/s^2 FRD; elements: xx, yy, zz and xy of J (kg m^2)."""
+    jx, jy, jz, jxy = elements
+    wx, wy, wz = rate
+    tau_x = tau[0] - (jz - jy) * wy * wz
+    tau_y = tau[1] - (jx - jz) * wz * wx
+    tau_z = tau[2] - (jy - jx) * wx * wy
+    if isinstance(jxy, float) and jxy == 0.0:
+        return tau_x / jx, tau_y / jy, tau_z / jz
+    tau_x, tau_y = tau_x + jxy * wx * wz, tau_y - jxy * wy * wz
+    tau_z = tau_z - jxy * (wx * wx - wy * wy)
+    det = jx * jy - jxy * jxy
+    return (jy * tau_x - jxy * tau_y) / det, (jx * tau_y - jxy * tau_x) / det, tau_z / jz
 
 
 def thrust_rates(

@@ -197,15 +197,20 @@ def gravity_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
 
 
 def inertia(ops: Ops, vehicle: Airframe, effects: Sequence[Part], mass_kg: Scalar) -> Sequence[Scalar]:
-    """Return the principal moments of inertia with all effects: their factors, then what they add."""
+    """Return the elements xx, yy, zz and xy of the inertia matrix with all effects; the others are 0.
+
+    They are the moments of the vehicle file times the factors of the effects, plus what the effects add.
+    """
     j: Sequence[Scalar] = vehicle.inertia_kg_m2
     for effect, theta in effects:
         if effect.inertia_factors is not None:
             j = [a * f for a, f in zip(j, effect.inertia_factors(ops, theta), strict=True)]
+    elements: Sequence[Scalar] = (*j, 0.0)
     for effect, theta in effects:
         if effect.added_inertia_kg_m2 is not None:
-            j = add(j, effect.added_inertia_kg_m2(ops, theta, mass_kg))
-    return j
+            added = effect.added_inertia_kg_m2(ops, theta, mass_kg)
+            elements = [a + b for a, b in zip(elements, added, strict=True)]
+    return elements
 
 
 def memory_size(effects: Iterable[Effect]) -> int:

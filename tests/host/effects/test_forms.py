@@ -216,6 +216,25 @@ def test_offset_of_the_centre_of_mass_adds_the_inertia_of_the_mass_that_moved(sh
         expected += m * (r @ r * np.eye(3) - np.outer(r, r))
     offset = part("com-offset", centre[0], centre[1], 1.0 / share - 1.0)
     found = slots.inertia(FLOAT, VEHICLE, [offset], mass)
-    np.testing.assert_allclose(np.subtract(found, VEHICLE.inertia_kg_m2), np.diag(expected), rtol=1e-12)
+    moments, product = np.subtract(found[:3], VEHICLE.inertia_kg_m2), found[3]
+    np.testing.assert_allclose(moments, np.diag(expected), rtol=1e-12)
+    assert product == pytest.approx(expected[0, 1], rel=1e-12)
+    assert expected[0, 2] == expected[1, 2] == 0.0
     scaled = slots.inertia(FLOAT, VEHICLE, [offset, part("inertia", 1.2, 1.0, 1.0)], mass)
     assert scaled[0] == pytest.approx(1.2 * VEHICLE.inertia_kg_m2[0] + expected[0, 0])
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_displaced_mass_couples_roll_and_pitch_by_eulers_equation(seed: int) -> None:
+    """The angular acceleration with the whole inertia matrix, by numpy."""
+    effect = EFFECTS["com-offset"]
+    theta = theta_of(effect, x=0.03, y=-0.02, spread=3.0)
+    x = state(seed)
+    jx, jy, jz, jxy = slots.inertia(FLOAT, VEHICLE, [(effect, theta)], VEHICLE.mass_kg)
+    J = np.array([[jx, jxy, 0.0], [jxy, jy, 0.0], [0.0, 0.0, jz]])
+    point_mass = replace(effect, added_inertia_kg_m2=None)
+    rate = np.array(x[9:12])
+    J0 = np.diag(VEHICLE.inertia_kg_m2)
+    torque = J0 @ rates([(point_mass, theta)], x)[9:12] + np.cross(rate, J0 @ rate)
+    expected = np.linalg.solve(J, torque - np.cross(rate, J @ rate))
+    np.testing.assert_allclose(rates([(effect, theta)], x)[9:12], expected, rtol=1e-9)
