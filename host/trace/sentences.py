@@ -98,8 +98,8 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
         f"{f.details['period_s']:.1f} s, at other times in each repeat flight, as a fan that sweeps does"
     ),
     Code.TRACKING_TOO_SHORT: lambda f: (
-        f"all flights together track for only {f.value:.1f} s, so tracing used segments instead of whole "
-        "flights; fly longer"
+        f"all flights together track for only {f.value:.1f} s with the rate integral inside its limits, so "
+        "tracing used segments instead of whole flights; fly longer"
     ),
     Code.HOVER_ONLY: lambda f: (
         "the flights only hover, so tracing used segments instead of whole flights; fly manoeuvres"

@@ -21,7 +21,7 @@ from trimtab.host.models.rollout import half_steps, reference_drive, roll_out
 from trimtab.host.models.slots import mocap_latency_s as latency_of
 from trimtab.host.models.states import States
 from trimtab.host.trace.data.signals import FlightData, Signals, pose_interval_s, states_of
-from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, record
+from trimtab.host.trace.flight_fit.recording import PER_BIN, SAMPLE_S, Recording, limited_share, record
 from trimtab.host.trace.flight_fit.rotors import RotorSpeeds
 from trimtab.host.trace.flight_fit.whitening import CHANNELS, affordable
 from trimtab.host.trace.parameters import ParameterSpace
@@ -389,7 +389,7 @@ class Tracking(NamedTuple):
     Attributes
     ----------
     tracking_s
-        Tracking time of all flights.
+        Tracking time of all flights with the rate integral inside its limits.
     extent_m
         Greatest extent of one of them along a NED axis.
     pose_interval_s
@@ -405,7 +405,10 @@ def amount_of_tracking(flights: Sequence[FlightData]) -> Tracking:
     """Return how much the flights track."""
     signals = [data.signals for data in flights]
     return Tracking(
-        tracking_s=sum(s.span_s[1] - s.span_s[0] for s in signals),
+        tracking_s=sum(
+            (1.0 - limited_share(data)) * (data.signals.span_s[1] - data.signals.span_s[0])
+            for data in flights
+        ),
         extent_m=max(_extent(s) for s in signals),
         pose_interval_s=max(round(pose_interval_s(s), 6) for s in signals),  # stamps are whole microseconds
     )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, field
 from typing import Annotated
 
@@ -10,6 +9,7 @@ import numpy as np
 from scipy.sparse import csr_array
 
 from trimtab.firmware_model.law import step as law_step
+from trimtab.host.log import Flight
 from trimtab.host.models.states import States, firmware_parameters_of
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
@@ -29,7 +29,7 @@ _KEPT = 2
 _AT_LIMIT = 0.99
 """Share of its limit from which on the rate integral counts as at the limit."""
 _ABOUT_LIMIT = 3
-"""Bins before and after the one in which the rate integral reaches or leaves its limit; not compared."""
+"""Bins before and after those in which the rate integral is at its limit; not compared either."""
 
 LEAD_S = 0.3
 """Time after the start of the reference that is not compared. Errors of the initial state decay in it."""
@@ -51,8 +51,8 @@ class Recording:
         Bin values, three each: position NED m, Euler angles Theta rad, body rate FRD rad/s, rate
         integral FRD. The rate integral is the value in the middle of the bin; the others are means.
     known
-        Mask of the bins in which all channels were measured, without those about a jump of the law: where
-        the rate integral reaches or leaves its limit.
+        Mask of the bins in which all channels were measured, without those in which the rate integral
+        reaches its limit, stays there or leaves it.
     rates, integrals
         Matrices (bins, samples) that map states sampled every SAMPLE_S to what telemetry records of them.
         Gyro means cover whole telemetry intervals. The rate integral is interpolated linearly between
@@ -110,8 +110,7 @@ def record(data: FlightData, states: States) -> Recording:
     frames_s = flight.control.sensed_us[:, 1] * 1e-6 - start
     between = _between_frames(FLIGHT_BIN_S * (np.arange(bins) + 0.5), frames_s)
     integral = between @ flight.control.rate_integral
-    limit = law_step.integral_limit(law_step.parameter_vector(firmware_parameters_of(flight)))
-    jumps = _jumps_at_limits(integral, limit)
+    limited = _about(_at_limit(flight, integral))
     late = FLIGHT_BIN_S * (np.arange(bins) + 0.5) < LEAD_S
     return Recording(
         states=states,
@@ -127,25 +126,43 @@ def record(data: FlightData, states: States) -> Recording:
                 integral,
             ]
         ),
-        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late & ~jumps,
+        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late & ~limited,
         rates=shares @ _interval_means(s.imu_s - start, samples),
         integrals=between @ interpolation(frames_s, samples),
     )
 
 
-def _jumps_at_limits(
-    integral: Annotated[np.ndarray, "bins 3"], limit: Sequence[float]
-) -> Annotated[np.ndarray, "bins"]:
-    """Return the mask of the bins about those in which the rate integral reaches or leaves a limit.
+def limited_share(data: FlightData) -> float:
+    """Return the share of the tracking time that `record` leaves out since the rate integral is limited.
 
-    A prediction that reaches the limit a little earlier or later has an error there that no linearisation
-    and no autoregression predicts.
+    0 without control telemetry.
     """
-    at_limit = np.abs(integral) > _AT_LIMIT * np.array(limit)
-    changes = np.zeros(len(integral), dtype=int)
-    changes[1:] = (at_limit[1:] != at_limit[:-1]).any(1)
-    about = np.convolve(changes, np.ones(2 * _ABOUT_LIMIT + 1, dtype=int))
-    return about[_ABOUT_LIMIT : _ABOUT_LIMIT + len(changes)] > 0
+    control = data.flight.control
+    if control is None:
+        return 0.0
+    start, end = data.signals.span_s
+    t_s = control.sensed_us[:, 1] * 1e-6
+    tracking = (t_s >= start) & (t_s <= end)
+    limited = _at_limit(data.flight, control.rate_integral[tracking])
+    return float(limited.mean()) if limited.size else 0.0
+
+
+def _at_limit(flight: Flight, integral: Annotated[np.ndarray, "values 3"]) -> Annotated[np.ndarray, "values"]:
+    """Return the mask of the values of the rate integral at which an axis is at its limit, but not in all.
+
+    A limited integral does not show how much torque is missing, and a prediction that reaches the limit
+    earlier or later has an error that no linearisation and no autoregression expects. An axis that is at its
+    limit throughout is so in the prediction too.
+    """
+    limit = np.array(law_step.integral_limit(law_step.parameter_vector(firmware_parameters_of(flight))))
+    at_limit = np.abs(integral) > _AT_LIMIT * limit
+    return (at_limit & ~at_limit.all(0)).any(1)
+
+
+def _about(at_limit: Annotated[np.ndarray, "bins"]) -> Annotated[np.ndarray, "bins"]:
+    """Return the mask of the bins at a limit and of _ABOUT_LIMIT bins before and after them."""
+    about = np.convolve(at_limit.astype(int), np.ones(2 * _ABOUT_LIMIT + 1, dtype=int))
+    return about[_ABOUT_LIMIT : _ABOUT_LIMIT + len(at_limit)] > 0
 
 
 def bins_of_times(t_s: Annotated[np.ndarray, "times"], bins: int) -> Annotated[np.ndarray, "times"]:
