@@ -159,7 +159,7 @@ def fit_closed_loop(
         )
         stalled = gain_nats < _STALLED_NATS
         iteration += 1
-        if (stalled and known) or iteration == _ITERATIONS:
+        if (stalled and (afresh or not effects)) or iteration == _ITERATIONS:
             break
         theta_scaled, base, afresh = end, residuals, small or stalled
     return FlightFit(
