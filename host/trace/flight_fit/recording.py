@@ -156,7 +156,7 @@ def _at_limit(flight: Flight, integral: Annotated[np.ndarray, "values 3"]) -> An
     """
     limit = np.array(law_step.integral_limit(law_step.parameter_vector(firmware_parameters_of(flight))))
     at_limit = np.abs(integral) > _AT_LIMIT * limit
-    return (at_limit & ~at_limit.all(0)).any(1)
+    return np.any(at_limit & ~at_limit.all(0), axis=1)
 
 
 def _about(at_limit: Annotated[np.ndarray, "bins"]) -> Annotated[np.ndarray, "bins"]:
