@@ -20,6 +20,7 @@ _SHARES = (
     ("triples_exact_identifiable", "exact set, identifiable triples", ">= 70 %"),
     ("triples_exact", "exact set, all triples", ""),
     ("in_alias", "truth inside the alias set", ">= 99 %"),
+    ("in_answer", "truth among names, aliases and what is possible beside them", ""),
     ("false_alarm", "false alarms where nothing is missing", "<= 1 %"),
     ("abstain_outside", "abstention outside the library, detectable", ">= 92 %"),
     ("abstain_undetectable", "abstention outside the library, not detectable", ""),

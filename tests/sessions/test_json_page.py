@@ -361,6 +361,7 @@ def test_study_prints_what_the_page_says() -> None:
     row = {"effect": "wind", "key": "wx", "family": "aerodynamic", "turned": False, "true": 3.0, "drawn": 3.0}
     row |= {"estimate": 3.0, "sd": 0.1, "bound_sd": 0.1, "neutral": 0.0, "typical": 1.0}
     said = {"top1": True, "exact": True, "in_alias": True, "identifiable": True, "alias_sizes": [1]}
+    said |= {"in_answer": True, "answer_size": 1}
     said |= {
         "verdict": "traced",
         "named": ["wind"],

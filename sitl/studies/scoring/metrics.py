@@ -54,6 +54,7 @@ def summary(scores: Scores) -> dict[str, Any]:
     judged = [s for s in inside if s["after_m"] is not None and s["floor_m"]]
     over = [s["after_m"] / s["floor_m"] for s in judged]
     sizes = [size for s in inside for size in s["alias_sizes"]]
+    answers = [s["answer_size"] for s in inside]
     times = [s["trace_s"] for s in scores if s["class"] != "thin" and s["trace_s"] is not None]
     steady, turning = (
         {
@@ -67,6 +68,8 @@ def summary(scores: Scores) -> dict[str, Any]:
         **{name: share(flags) for name, flags in hits.items()},
         "alias_size_mean": mean(sizes),
         "alias_size_max": max(sizes, default=None),
+        "answer_size_mean": mean(answers),
+        "answer_size_max": max(answers, default=None),
         **{
             f"parameter_error{family}_{name}{_SUFFIX[truth]}": quantile(found[truth], level)
             for truth in TRUTHS
@@ -93,6 +96,7 @@ def summary(scores: Scores) -> dict[str, Any]:
         "n": {
             **{name: len(flags) for name, flags in hits.items()},
             "alias_size_mean": len(sizes),
+            "answer_size_mean": len(answers),
             **{f"parameter_error{_SUFFIX[truth]}": len(steady[truth]) for truth in TRUTHS},
             **{f"parameter_error_torque{_SUFFIX[truth]}": len(turning[truth]) for truth in TRUTHS},
             "coverage_2sigma": len(covered),
@@ -124,6 +128,8 @@ def _hits(by_class: Mapping[str, Scores]) -> dict[str, list[bool]]:
         "top1_all": [s["top1"] for s in by_class["single"]],
         "in_alias": [s["in_alias"] for s in inside],
         "in_alias_identifiable": [s["in_alias"] for s in inside if s["identifiable"]],
+        "in_answer": [s["in_answer"] for s in inside],
+        "in_answer_identifiable": [s["in_answer"] for s in inside if s["identifiable"]],
         "false_alarm": [s["verdict"] != "nothing-missing" for s in none],
         "abstain_outside": [s["verdict"] == "outside-library" for s in outside if s["detectable"]],
         "abstain_undetectable": [s["verdict"] == "outside-library" for s in outside if not s["detectable"]],

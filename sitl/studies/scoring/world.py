@@ -133,7 +133,8 @@ def judge(
     The names of the verdict are those of `with_scored_names`. `separations`, sigma, are of each true effect
     from each other candidate; None for worlds without an effect of the library, and for thin data and few
     flights. `brought`: see `brought_effects`. An undecided verdict on an identifiable world counts as a miss.
-    If a verdict names nothing, its alias set is what it considers possible.
+    If a verdict names nothing, its alias set is what it considers possible. The whole answer also contains
+    what it considers possible beside the names.
     """
 
     def alike(names: Iterable[str]) -> frozenset[str]:
@@ -149,7 +150,8 @@ def judge(
     first = ordered(named)
     names = alike(first)
     truth = alike(kinds)
-    possible = set[str]() if named else {p["name"] for p in answer.get("possible", ())}
+    not_excluded = {p["name"] for p in answer.get("possible", ())}
+    possible = set[str]() if named else not_excluded
     aliases = {a["name"] for e in named for a in e["aliases"]} | possible
     identifiable = None if separations is None else is_identifiable(separations)
     leading = collapsed(first[:1], kinds, effects)
@@ -157,6 +159,7 @@ def judge(
     sizes = [1 + len(alike(a["name"] for a in e["aliases"]) - alike([e["name"]])) for e in named]
     if possible:
         sizes = [len(alike(possible))]
+    whole = alike({*first, *aliases, *not_excluded})
     before, after = answer.get("before") or {}, answer.get("after") or {}
     return {
         "exit_code": verdict["exit_code"],
@@ -174,6 +177,8 @@ def judge(
         "exact": bool(first) and names == truth and decided,
         "in_alias": bool(kinds) and truth <= alike({*first, *aliases}),
         "alias_sizes": sizes,
+        "in_answer": bool(kinds) and truth <= whole,
+        "answer_size": len(whole),
         "probabilities": probability_rows(answer, kinds, effects, brought),
         "before_m": before.get("position_rmse_m"),
         "after_m": after.get("position_rmse_m"),

@@ -109,6 +109,14 @@ def test_what_is_possible_is_the_alias_set_of_a_verdict_that_names_nothing() -> 
     assert not judge(["inertia"], said, HAZY, EFFECTS)["in_alias"]
 
 
+def test_answer_contains_what_is_possible_beside_the_names() -> None:
+    said = verdict("traced", "wind", aliases={"wind": ["frame-tilt"]})
+    said["answer"]["possible"] = [{"name": "motor-lag", "probability": 0.6}]
+    score = judge(["wind", "motor-lag"], said, HAZY, EFFECTS)
+    assert (score["in_alias"], score["in_answer"], score["answer_size"]) == (False, True, 3)
+    assert not judge(["wind", "inertia"], said, HAZY, EFFECTS)["in_answer"]
+
+
 LOSSES = {"rotor-loss": {"loss_1": 0.1, "loss_2": 0.0, "loss_3": 0.0, "loss_4": 0.0}}
 
 
@@ -285,6 +293,7 @@ def test_summary_of_known_scores_is_counted_right() -> None:
     assert (found["triples_exact"], found["n"]["triples_exact"]) == (None, 0)
     assert (found["pairs_exact"], found["false_alarm"], found["abstain_outside"]) == (1.0, 0.5, 0.5)
     assert (found["in_alias"], found["abstain_inside"]) == (pytest.approx(2 / 3), 0.0)
+    assert (found["in_answer"], found["answer_size_max"]) == (pytest.approx(2 / 3), 2)
     # 0.1 of 2, and (0, 0.5) of the vector (3, 4).
     assert [e["error"] for e in relative_errors(SCORES)] == [pytest.approx(0.05), pytest.approx(0.1)]
     assert found["coverage_2sigma"] == pytest.approx(1 / 3)
