@@ -91,15 +91,11 @@ def _angular_acceleration(
     """Return J^-1 (tau - rate x J rate), rad/s^2 FRD; elements: xx, yy, zz and xy of J (kg m^2)."""
     jx, jy, jz, jxy = elements
     wx, wy, wz = rate
-    tau_x = tau[0] - (jz - jy) * wy * wz
-    tau_y = tau[1] - (jx - jz) * wz * wx
-    tau_z = tau[2] - (jy - jx) * wx * wy
-    if isinstance(jxy, float) and jxy == 0.0:
-        return tau_x / jx, tau_y / jy, tau_z / jz
-    tau_x, tau_y = tau_x + jxy * wx * wz, tau_y - jxy * wy * wz
-    tau_z = tau_z - jxy * (wx * wx - wy * wy)
-    det = jx * jy - jxy * jxy
-    return (jy * tau_x - jxy * tau_y) / det, (jx * tau_y - jxy * tau_x) / det, tau_z / jz
+    tau_x = tau[0] - (jz - jy) * wy * wz + jxy * wx * wz
+    tau_y = tau[1] - (jx - jz) * wz * wx - jxy * wy * wz
+    tau_z = tau[2] - (jy - jx) * wx * wy - jxy * (wx * wx - wy * wy)
+    pitch = (tau_y - jxy / jx * tau_x) / (jy - jxy / jx * jxy)
+    return (tau_x - jxy * pitch) / jx, pitch, tau_z / jz
 
 
 def thrust_rates(

@@ -148,7 +148,8 @@ def fit_closed_loop(
             if _deviations(step - before, covariance) < _WHITENING_SETTLED:
                 break
         small = _deviations(step, covariance) < LOOP_SETTLED
-        known = afresh or not effects or loop.knows_slopes(theta_scaled)
+        own = afresh or not effects  # whether the slopes are those of this point, not of one nearby
+        known = own or loop.knows_slopes(theta_scaled)
         if small and not known:
             known = _log_evidence(loop, white, grams, theta_scaled, effects, order) < hopeless
         if small and known:
@@ -159,7 +160,7 @@ def fit_closed_loop(
         )
         stalled = gain_nats < _STALLED_NATS
         iteration += 1
-        if (stalled and (afresh or not effects)) or iteration == _ITERATIONS:
+        if (stalled and own) or iteration == _ITERATIONS:
             break
         theta_scaled, base, afresh = end, residuals, small or stalled
     return FlightFit(

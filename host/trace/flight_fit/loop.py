@@ -406,8 +406,8 @@ def amount_of_tracking(flights: Sequence[FlightData]) -> Tracking:
     signals = [data.signals for data in flights]
     return Tracking(
         tracking_s=sum(
-            (1.0 - limited_share(data)) * (data.signals.span_s[1] - data.signals.span_s[0])
-            for data in flights
+            (1.0 - limited_share(data)) * (s.span_s[1] - s.span_s[0])
+            for data, s in zip(flights, signals, strict=True)
         ),
         extent_m=max(_extent(s) for s in signals),
         pose_interval_s=max(round(pose_interval_s(s), 6) for s in signals),  # stamps are whole microseconds
