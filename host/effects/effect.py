@@ -32,8 +32,8 @@ Signal = Literal["voltage_ratio", "gyro"]
 class Context(NamedTuple):
     """The state that a slot may use: SI units, world NED, body FRD.
 
-    For `memory_start` and `memory_rates` it is that of the nominal vehicle: nominal mass, thrusts without
-    factors, air at rest, a full battery, and time 0.
+    For `memory_start` it is that of the nominal vehicle: nominal mass, thrusts without factors, air at rest,
+    a full battery, and time 0.
 
     Attributes
     ----------
@@ -64,6 +64,8 @@ class Context(NamedTuple):
         Drag torque of a rotor over its thrust.
     memory
         States that the effect adds; empty if it adds none.
+    a_ned
+        Acceleration of the vehicle (3,), m/s^2, with all effects; only for `memory_rates`.
     """
 
     p_ned: Sequence[Scalar]
@@ -82,6 +84,7 @@ class Context(NamedTuple):
     hover_n: float
     torque_per_thrust_m: float = 0.0
     memory: Sequence[Scalar] = ()
+    a_ned: Sequence[Scalar] = ()
 
     def excess_speed(self, ops: Ops, thrust_n: Scalar | None = None) -> Scalar:
         """Return the rotor speed over that at hover, minus 1.

@@ -5,10 +5,10 @@ from __future__ import annotations
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.rotations import mat_t_vec
 from trimtab.host.effects.effect import Closing, Effect
-from trimtab.host.effects.parameter import Parameter
+from trimtab.host.effects.parameter import Parameter, form
 
 _AIR = 0.023  # 1/m, drag of a cube of 6 cm and 100 g
-_LINE_RATE = 20.0  # 1/s, at which errors of the line's length decay
+_LINE_RATE = 20.0  # 1/s, natural frequency of the critically damped stretch of the line
 _FLOOR_RATE = 20.0  # 1/s, natural frequency of the critically damped floor
 _FLOOR_M = 0.01  # depth at which the floor force is fully active
 _FLOOR_FORCE_MAX = 5.0  # greatest floor force, times gravity
@@ -16,28 +16,42 @@ _FRICTION, _SLIP_M_S = 0.5, 0.2  # friction coefficient of the floor, speed that
 
 
 def _start(ops, theta, ctx):
-    # The payload hangs below the vehicle and moves with it. The position state is the position of the payload
-    # raised by the length of the line.
-    return (*ctx.p_ned, *ctx.v_ned)
+    # The states are the offset of the payload from where it hangs under a level vehicle, and its velocity
+    # relative to the vehicle. Near the floor it lies below the vehicle.
+    return (0.0, 0.0, -ops.maximum(ctx.p_ned[2] + theta[1], 0.0), 0.0, 0.0, 0.0)
 
 
-def _line(ops, theta, ctx):
-    """Return the geometry and the tension of the line.
+def _motion(ops, theta, ctx):
+    """Return the acceleration of the payload and the pull of the line, both NED (3,), m/s^2.
 
-    Returns the direction from vehicle to payload, NED (3,); the length minus the distance, m; the velocity of
-    the payload relative to the vehicle, along the line, m/s, and across it (3,), m/s; and the tension over
-    the payload's mass, m/s^2, which is 0 if the line is slack.
+    The pull is over the payload's mass. It acts on the payload, and reversed on the vehicle.
     """
-    ratio, length, _ = theta
-    x, y, z = (s - p for s, p in zip(ctx.memory[:3], ctx.p_ned, strict=True))
-    distance = ops.sqrt(x * x + y * y + (z + length) * (z + length))
+    ratio, length, damping, tension_share = theta
+    x, y, z = ctx.memory[:3]
+    distance = ops.sqrt(x * x + y * y + (z + length) * (z + length) + 1e-6)  # 0 before take-off
     line = (x / distance, y / distance, (z + length) / distance)
-    relative = [s - v for s, v in zip(ctx.memory[3:], ctx.v_ned, strict=True)]
+    relative = ctx.memory[3:]
     speed_along = _dot(line, relative)
     across = [r - speed_along * n for r, n in zip(relative, line, strict=True)]
+
+    velocity = [v + r for v, r in zip(ctx.v_ned, relative, strict=True)]
+    depth = ctx.p_ned[2] + z + length
+    contact = ops.clip(depth / _FLOOR_M, 0.0, 1.0)
+    normal = contact * (_FLOOR_RATE * _FLOOR_RATE * depth + 2.0 * _FLOOR_RATE * velocity[2])
+    normal = ops.clip(normal, 0.0, _FLOOR_FORCE_MAX * GRAVITY)
+    sliding = ops.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + _SLIP_M_S * _SLIP_M_S)
+    grip = _FRICTION * normal / sliding
+    air = _AIR * ops.sqrt(_dot(velocity, velocity) + 1e-6)
+    others = [-(grip + air) * velocity[0], -(grip + air) * velocity[1], -normal - air * velocity[2]]
+
     lift = ctx.collective_n / ctx.mass_kg * _dot((ctx.R[2], ctx.R[5], ctx.R[8]), line)
-    tension = ops.maximum(lift + _dot(across, across) / length, 0.0) / (1.0 + ratio)
-    return line, length - distance, speed_along, across, tension
+    kept = 2.0 * _LINE_RATE * speed_along + _LINE_RATE * _LINE_RATE * (distance - length)
+    tension = lift + _dot(across, across) / length + _dot(others, line) + kept
+    tension = ops.maximum(tension, 0.0) / (1.0 + ratio)
+    swing_damping = 2.0 * damping * ops.sqrt(GRAVITY / length)
+    swing_damping = swing_damping * (1.0 + tension_share * (tension / GRAVITY - 1.0))
+    pull = [tension * n + swing_damping * w for n, w in zip(line, across, strict=True)]
+    return [f - a for f, a in zip((*others[:2], others[2] + GRAVITY), pull, strict=True)], pull
 
 
 def _dot(a, b):
@@ -45,32 +59,13 @@ def _dot(a, b):
 
 
 def _rates(ops, theta, ctx):
-    _, length, damping = theta
-    line, shortening, speed_along, across, tension = _line(ops, theta, ctx)
-    swing_damping = 2.0 * damping * ops.sqrt(GRAVITY / length)
-    velocity, depth = ctx.memory[3:], ctx.memory[2] + length
-    contact = ops.clip(depth / _FLOOR_M, 0.0, 1.0)
-    normal = contact * (_FLOOR_RATE * _FLOOR_RATE * depth + 2.0 * _FLOOR_RATE * velocity[2])
-    normal = ops.clip(normal, 0.0, _FLOOR_FORCE_MAX * GRAVITY)
-    sliding = ops.sqrt(velocity[0] * velocity[0] + velocity[1] * velocity[1] + _SLIP_M_S * _SLIP_M_S)
-    floor = (
-        -_FRICTION * normal * velocity[0] / sliding,
-        -_FRICTION * normal * velocity[1] / sliding,
-        GRAVITY - normal,
-    )
-    air = _AIR * ops.sqrt(_dot(velocity, velocity) + 1e-6)
-    pull = tension + _LINE_RATE * speed_along
-    position_rates = [v + _LINE_RATE * shortening * n for v, n in zip(velocity, line, strict=True)]
-    velocity_rates = [
-        f - pull * n - swing_damping * t - air * v
-        for f, n, t, v in zip(floor, line, across, velocity, strict=True)
-    ]
-    return (*position_rates, *velocity_rates)
+    acceleration, _ = _motion(ops, theta, ctx)
+    return (*ctx.memory[3:], *(a - a_vehicle for a, a_vehicle in zip(acceleration, ctx.a_ned, strict=True)))
 
 
 def _force(ops, theta, ctx):
-    line, _, _, _, tension = _line(ops, theta, ctx)
-    return mat_t_vec(ctx.R, [theta[0] * tension * n for n in line])
+    _, pull = _motion(ops, theta, ctx)
+    return mat_t_vec(ctx.R, [theta[0] * a for a in pull])
 
 
 def _feedforward(theta):
@@ -80,10 +75,13 @@ def _feedforward(theta):
 EFFECT = Effect(
     name="slung-payload",
     title="Slung payload",
-    equation="s'' = g - lambda n - 2 damping sqrt(g/l) w - 0.023 |s'| s', a_ned = ratio lambda n above a "
-    "floor; n: direction of the line, w: velocity of the payload across it: "
-    "lambda = max(0, T/m z_body . n + |w|^2 / l) / (1 + ratio)",
-    source="pendulum on a moving vehicle; the tension keeps the length of the line (Lagrange multiplier)",
+    equation="s'' = g + f - u, a_ned = ratio u, "
+    "u = lambda n + 2 damping sqrt(g/l) (1 + tension_share (lambda/g - 1)) w; "
+    "n: direction of the line, w: velocity of the payload across it, "
+    "f: floor and air (-0.023 |s'| s') on the payload, d = |s - p| - l: "
+    "lambda = max(0, T/m z_body . n + |w|^2 / l + f . n + 40 d' + 400 d) / (1 + ratio)",
+    source="pendulum on a moving vehicle; the tension keeps the length of the line (Lagrange multiplier, "
+    "stabilised after Baumgarte 1972); a slack line pulls nothing, and a payload on the floor is not carried",
     parameters=(
         Parameter(
             key="ratio",
@@ -121,12 +119,14 @@ EFFECT = Effect(
             description="damping of the swing over critical damping",
             strength=False,
         ),
+        # Friction at the attachment grows with the tension; the drag of the line in the air does not.
+        form("tension_share", 0.5, 0.0, 1.0, "share of the damping that grows with the tension", neutral=0.5),
     ),
     aliases=("mass", "thrust-gain"),
     observable="changes of horizontal speed within a period of the pendulum; in hover it looks like mass",
     changes_hover=True,
     closing=Closing(
-        model="a pendulum under the vehicle, with position and velocity of the payload as states",
+        model="a pendulum under the vehicle, with offset and relative velocity of the payload as states",
         planner="treats the weight as a constant force; the swing is ignored",
         law="the commanded thrust is scaled for the weight of the payload; the swing remains",
     ),

@@ -187,7 +187,7 @@ class Phi:
         voltage_ratio, t_s = drive[INPUTS_VOLTAGE_AND_TIME if self.drive == "inputs" else VOLTAGE_AND_TIME]
         memory = x[self.memory]
         body = rigid_body(ops, self.vehicle, parts, x, voltage_ratio, t_s, acceleration_ned, memory=memory)
-        effect_rates = memory_rates(ops, self.vehicle, parts, x, memory)
+        effect_rates = memory_rates(ops, self.vehicle, parts, x, memory, body[V], voltage_ratio, t_s)
         lag_s = motor_lag_s(ops, self.vehicle, parts) + self.hold_s
         if self.drive == "inputs":
             thrusts = thrust_rates(ops, self.vehicle, parts, x[THRUST], drive[COMMANDED_THRUST], lag_s)

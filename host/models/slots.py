@@ -44,23 +44,33 @@ def loads(
 
     CasADi's order of operations here is part of every recorded result.
     """
-    thrust = x[THRUST]
-    mass, wind = _mass_and_wind(ops, vehicle, effects)
-    collective = _sum(thrust)
     if not any(
         e.thrust_factor or e.rotor_factors or e.specific_force_frd or e.torque_frd for e, _ in effects
     ):
-        return Loads(mass, thrust, collective, None, None)
+        mass, _ = _mass_and_wind(ops, vehicle, effects)
+        return Loads(mass, x[THRUST], _sum(x[THRUST]), None, None)
+    ctx = _loaded(ops, vehicle, effects, x, R, voltage_ratio, t_s)
+    if not len(memory):
+        memory = memory_at_rest(ops, vehicle, effects, x)
+    return Loads(ctx.mass_kg, ctx.thrust, ctx.collective_n, *_force_and_torque(ops, effects, ctx, memory))
+
+
+def _loaded(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    R: Sequence[Scalar],
+    voltage_ratio: Scalar,
+    t_s: Scalar,
+) -> Context:
+    """Return the context with the mass, thrusts and wind of all effects."""
+    mass, wind = _mass_and_wind(ops, vehicle, effects)
     v = x[V]
     v_air = v if wind is None else (v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
     ctx = _context(vehicle, x, R, mat_t_vec(R, v_air), mass, voltage_ratio, t_s)
-    effective = _effective_thrust(ops, effects, ctx)
-    if effective is not None:
-        thrust, collective = effective, _sum(effective)
-        ctx = ctx._replace(thrust=thrust, collective_n=collective)
-    if not len(memory):
-        memory = memory_at_rest(ops, vehicle, effects, x)
-    return Loads(mass, thrust, collective, *_force_and_torque(ops, effects, ctx, memory))
+    thrust = _effective_thrust(ops, effects, ctx)
+    return ctx if thrust is None else ctx._replace(thrust=thrust, collective_n=_sum(thrust))
 
 
 def _mass_and_wind(
@@ -219,41 +229,39 @@ def memory_size(effects: Iterable[Effect]) -> int:
 
 
 def memory_at_rest(ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar]) -> list[Scalar]:
-    """Return the effects' states after a long rest in state x."""
-    return _memory(ops, vehicle, effects, x, (), rates=False)
+    """Return the effects' states after a long rest in state x, one effect after the other."""
+    R = euler_to_matrix(ops, x[THETA])
+    ctx = _context(vehicle, x, R, mat_t_vec(R, x[V]), vehicle.mass_kg, 1.0, 0.0)
+    out: list[Scalar] = []
+    for effect, theta in effects:
+        if effect.memory_start is not None:
+            out += effect.memory_start(ops, theta, ctx)
+    return out
 
 
 def memory_rates(
-    ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar], memory: Sequence[Scalar]
-) -> list[Scalar]:
-    """Return the derivatives of the effects' states."""
-    return _memory(ops, vehicle, effects, x, memory, rates=True)
-
-
-def _memory(
     ops: Ops,
     vehicle: Airframe,
     effects: Sequence[Part],
     x: Sequence[Scalar],
     memory: Sequence[Scalar],
-    *,
-    rates: bool,
+    a_ned: Sequence[Scalar],
+    voltage_ratio: Scalar = 1.0,
+    t_s: Scalar = 0.0,
 ) -> list[Scalar]:
+    """Return the derivatives of the effects' states; arguments as of `rigid_body`.
+
+    a_ned: acceleration of the vehicle, m/s^2, as `rigid_body` returns it.
+    """
     out: list[Scalar] = []
-    if not memory_size(effect for effect, _ in effects):
+    if not len(memory):
         return out
-    R = euler_to_matrix(ops, x[THETA])
-    ctx = _context(vehicle, x, R, mat_t_vec(R, x[V]), vehicle.mass_kg, 1.0, 0.0)
+    ctx = _loaded(ops, vehicle, effects, x, euler_to_matrix(ops, x[THETA]), voltage_ratio, t_s)
+    ctx = ctx._replace(a_ned=a_ned)
     for effect, theta in effects:
-        if not effect.memory:
-            continue
-        if rates:
-            assert effect.memory_rates is not None
+        if effect.memory_rates is not None:
             states = memory[len(out) : len(out) + effect.memory]
             out += effect.memory_rates(ops, theta, ctx._replace(memory=states))
-        else:
-            assert effect.memory_start is not None
-            out += effect.memory_start(ops, theta, ctx)
     return out
 
 

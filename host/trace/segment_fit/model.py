@@ -20,7 +20,7 @@ from trimtab.host.codegen.interrupts import held_interrupts
 from trimtab.host.codegen.ops import CASADI
 from trimtab.host.effects.unknowns import THRUST_CURVE
 from trimtab.host.models import dynamics, slots
-from trimtab.host.models.airframe import Part
+from trimtab.host.models.airframe import Part, V
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.parameters import ParameterSpace
 from trimtab.host.trace.segment_fit.kernel import SegmentKernel
@@ -193,7 +193,7 @@ class SegmentModel:
             error = sum(R[3 * i + 2] * (out[3 + i] - acceleration[i]) for i in range(3))
             rotor = rotor + 0.25 * vehicle.mass_kg * error
         x = [*body, *(rotor,) * 4]
-        rates = slots.memory_rates(CASADI, vehicle, parts, x, memory)
+        rates = slots.memory_rates(CASADI, vehicle, parts, x, memory, acceleration)
         rest = slots.memory_at_rest(CASADI, vehicle, parts, x)
         return _function("memory", columns, {"rates": rates, "rest": rest})
 
@@ -222,7 +222,7 @@ class SegmentModel:
             out = dynamics.rigid_body(
                 CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, states
             )
-            rates = slots.memory_rates(CASADI, vehicle, parts, full, states)
+            rates = slots.memory_rates(CASADI, vehicle, parts, full, states, out[V], voltage, t_s)
             return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), rates
 
         k1, m1 = slopes(body, thrust, memory)

@@ -15,7 +15,7 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.codegen import CASADI
 from trimtab.host.effects import Effect, Parameter, compose_feedforward, form
 from trimtab.host.models import slots
-from trimtab.host.models.dynamics import derivative
+from trimtab.host.models.dynamics import derivative, rigid_body
 
 FORMED = sorted(name for name, effect in EFFECTS.items() if any(p.form for p in effect.parameters))
 FORMS = [(name, p.key) for name in FORMED for p in EFFECTS[name].parameters if p.form]
@@ -39,11 +39,15 @@ def theta_of(effect: Effect, **values: float) -> tuple[float, ...]:
 
 
 def fast(name: str, theta: tuple[float, ...], seed: int) -> np.ndarray:
-    """Return the rates at several m/s, with more thrust than at hover and a low voltage."""
+    """Return the rates at several m/s, with more thrust than at hover, a low voltage and states that move."""
     x = state(seed)
+    x[2] -= 3.0
     x[3:6] = [8.0 * speed for speed in x[3:6]]
     x[12:] = [1.5 * thrust for thrust in x[12:]]
-    return rates([(EFFECTS[name], theta)], x, voltage_ratio=0.9)
+    parts = [(EFFECTS[name], theta)]
+    memory = [0.1 + value for value in slots.memory_at_rest(FLOAT, VEHICLE, parts, x)]
+    body = rigid_body(FLOAT, VEHICLE, parts, x, 0.9, memory=memory)
+    return np.array([*body, *rates(parts, x, voltage_ratio=0.9)[12:]])
 
 
 def change(

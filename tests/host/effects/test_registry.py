@@ -37,6 +37,7 @@ FORMS = {
     "linear-drag": ("rotor_share", "height_m"),
     "quadratic-drag": ("side", "top"),
     "rotor-loss": ("rotor_share", "torque_ratio"),
+    "slung-payload": ("tension_share",),
     "thrust-gain": ("rotor_share",),
     "thrust-inflow": ("saturation", "damping"),
     "torque-bias": ("thrust_share",),
