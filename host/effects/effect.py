@@ -32,8 +32,8 @@ Signal = Literal["voltage_ratio", "gyro"]
 class Context(NamedTuple):
     """The state that a slot may use: SI units, world NED, body FRD.
 
-    For `memory_start` it is that of the nominal vehicle: nominal mass, thrusts without factors, air at rest,
-    a full battery, and time 0.
+    For `memory_start` and `thrust_rate_torque_frd` it is that of the nominal vehicle: nominal mass, thrusts
+    without factors, air at rest, a full battery, and time 0.
 
     Attributes
     ----------
@@ -224,6 +224,8 @@ class Effect:
         Specific force (3,), m/s^2.
     torque_frd
         Torque (3,), N m.
+    thrust_rate_torque_frd
+        Torque (3,), N m, given the derivatives of the rotor thrusts (4,), N/s.
     motor_lag_s
         Time constant of the rotors, given the nominal one.
     driven_thrust_n
@@ -275,6 +277,7 @@ class Effect:
     gravity_ned: Callable[[Ops, Theta], Sequence[Scalar]] | None = None
     specific_force_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
     torque_frd: Callable[[Ops, Theta, Context], Sequence[Scalar]] | None = None
+    thrust_rate_torque_frd: Callable[[Ops, Theta, Context, Sequence[Scalar]], Sequence[Scalar]] | None = None
     motor_lag_s: Callable[[Ops, Theta, Scalar], Scalar] | None = None
     driven_thrust_n: Callable[[Ops, Theta, Scalar, float], Scalar] | None = None
     lag_factor: Callable[[Ops, Theta, Scalar, Scalar], Scalar] | None = None
@@ -399,6 +402,7 @@ SLOTS = (
     "gravity_ned",
     "specific_force_frd",
     "torque_frd",
+    "thrust_rate_torque_frd",
     "motor_lag_s",
     "driven_thrust_n",
     "lag_factor",

@@ -18,8 +18,10 @@ from trimtab.host.models.slots import (
     gravity_ned,
     inertia,
     loads,
+    mass_kg,
     motor_lag_s,
     rotor_lags_s,
+    thrust_rate_torque_frd,
 )
 
 Scalar = Any
@@ -39,7 +41,8 @@ def derivative(  # noqa: PLR0913 (an equation of many variables)
     """Return xdot, 16 scalars, for commanded rotor thrusts in N; other arguments as of `rigid_body`."""
     body = rigid_body(ops, vehicle, effects, x, voltage_ratio, t_s, acceleration_ned, rate_dot_frd)
     lag_s = motor_lag_s(ops, vehicle, effects)
-    return [*body, *thrust_rates(ops, vehicle, effects, x[THRUST], thrust_command, lag_s)]
+    rates = thrust_rates(ops, vehicle, effects, x[THRUST], thrust_command, lag_s)
+    return [*with_thrust_rates(ops, vehicle, effects, x, body, rates), *rates]
 
 
 def rigid_body(  # noqa: PLR0913 (an equation of many variables)
@@ -83,6 +86,26 @@ def rigid_body(  # noqa: PLR0913 (an equation of many variables)
     if rate_dot_frd is not None:
         alpha = add(alpha, rate_dot_frd)
     return [*v, *a, *euler_rates(ops, x[THETA], rate), *alpha]
+
+
+def with_thrust_rates(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    body: Sequence[Scalar],
+    rates: Sequence[Scalar],
+) -> list[Scalar]:
+    """Return `body` with the torque of effects that depends on the derivatives of the rotor thrusts.
+
+    body: the result of `rigid_body`. rates: derivatives of the rotor thrusts (4), N/s.
+    """
+    torque = thrust_rate_torque_frd(ops, vehicle, effects, x, rates)
+    if torque is None:
+        return list(body)
+    elements = inertia(ops, vehicle, effects, mass_kg(ops, vehicle, effects))
+    more = _angular_acceleration(elements, (0.0, 0.0, 0.0), torque)
+    return [*body[: RATE.start], *add(body[RATE], more)]
 
 
 def _angular_acceleration(

@@ -48,7 +48,7 @@ from trimtab.host.models.drive import (
     flat_reference,
     flight_constants,
 )
-from trimtab.host.models.dynamics import rigid_body, rotor_torque, thrust_rates
+from trimtab.host.models.dynamics import rigid_body, rotor_torque, thrust_rates, with_thrust_rates
 from trimtab.host.models.feedback import (
     Feedback,
     estimate_with_error_states,
@@ -190,10 +190,11 @@ class Phi:
         effect_rates = memory_rates(ops, self.vehicle, parts, x, memory, body[V], voltage_ratio, t_s)
         lag_s = motor_lag_s(ops, self.vehicle, parts) + self.hold_s
         if self.drive == "inputs":
-            thrusts = thrust_rates(ops, self.vehicle, parts, x[THRUST], drive[COMMANDED_THRUST], lag_s)
-            return [*body, *thrusts, *effect_rates]
-        constants = FlightConstants(*flight)
-        return [*body, *self._loop_rates(ops, parts, x, drive, constants, body, lag_s), *effect_rates]
+            rates = thrust_rates(ops, self.vehicle, parts, x[THRUST], drive[COMMANDED_THRUST], lag_s)
+        else:
+            rates = self._loop_rates(ops, parts, x, drive, FlightConstants(*flight), body, lag_s)
+        body = with_thrust_rates(ops, self.vehicle, parts, x, body, rates[:4])
+        return [*body, *rates, *effect_rates]
 
     def _loop_rates(
         self,
@@ -205,7 +206,11 @@ class Phi:
         body: Sequence[Scalar],
         lag_s: Scalar,
     ) -> list[Scalar]:
-        """Return the derivatives of all states between the rigid body's and the effects' memory."""
+        """Return the derivatives of all states between the rigid body's and the effects' memory.
+
+        The law does not feel the torque of changes of the thrusts (`with_thrust_rates`) before it turns the
+        vehicle: they follow from its commands.
+        """
         feedback = self._feedback(ops, parts, x, drive, constants, body)
         command, integral_rates = self._law(ops, x, drive, constants, feedback, body[RATE], lag_s)
         arriving, delay_rates, observer = command, [], []

@@ -47,8 +47,7 @@ def loads(
     if not any(
         e.thrust_factor or e.rotor_factors or e.specific_force_frd or e.torque_frd for e, _ in effects
     ):
-        mass, _ = _mass_and_wind(ops, vehicle, effects)
-        return Loads(mass, x[THRUST], _sum(x[THRUST]), None, None)
+        return Loads(mass_kg(ops, vehicle, effects), x[THRUST], _sum(x[THRUST]), None, None)
     ctx = _loaded(ops, vehicle, effects, x, R, voltage_ratio, t_s)
     if not len(memory):
         memory = memory_at_rest(ops, vehicle, effects, x)
@@ -71,6 +70,11 @@ def _loaded(
     ctx = _context(vehicle, x, R, mat_t_vec(R, v_air), mass, voltage_ratio, t_s)
     thrust = _effective_thrust(ops, effects, ctx)
     return ctx if thrust is None else ctx._replace(thrust=thrust, collective_n=_sum(thrust))
+
+
+def mass_kg(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Scalar:
+    """Return the mass (kg) with all effects."""
+    return _mass_and_wind(ops, vehicle, effects)[0]
 
 
 def _mass_and_wind(
@@ -127,6 +131,28 @@ def _force_and_torque(
             t = effect.torque_frd(ops, theta, ctx)
             torque = t if torque is None else add(torque, t)
     return force, torque
+
+
+def thrust_rate_torque_frd(
+    ops: Ops,
+    vehicle: Airframe,
+    effects: Sequence[Part],
+    x: Sequence[Scalar],
+    thrust_rates: Sequence[Scalar],
+) -> Sequence[Scalar] | None:
+    """Return the effects' torque (FRD, N m) from changes of the rotor thrusts; None where no effect has one.
+
+    thrust_rates: derivatives of the rotor thrusts, N/s.
+    """
+    if all(effect.thrust_rate_torque_frd is None for effect, _ in effects):
+        return None
+    ctx = _nominal(ops, vehicle, x)
+    torque: Sequence[Scalar] | None = None
+    for effect, theta in effects:
+        if effect.thrust_rate_torque_frd is not None:
+            t = effect.thrust_rate_torque_frd(ops, theta, ctx, thrust_rates)
+            torque = t if torque is None else add(torque, t)
+    return torque
 
 
 def _sum(thrust: Sequence[Scalar]) -> Scalar:
@@ -230,8 +256,7 @@ def memory_size(effects: Iterable[Effect]) -> int:
 
 def memory_at_rest(ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar]) -> list[Scalar]:
     """Return the effects' states after a long rest in state x, one effect after the other."""
-    R = euler_to_matrix(ops, x[THETA])
-    ctx = _context(vehicle, x, R, mat_t_vec(R, x[V]), vehicle.mass_kg, 1.0, 0.0)
+    ctx = _nominal(ops, vehicle, x)
     out: list[Scalar] = []
     for effect, theta in effects:
         if effect.memory_start is not None:
@@ -263,6 +288,12 @@ def memory_rates(
             states = memory[len(out) : len(out) + effect.memory]
             out += effect.memory_rates(ops, theta, ctx._replace(memory=states))
     return out
+
+
+def _nominal(ops: Ops, vehicle: Airframe, x: Sequence[Scalar]) -> Context:
+    """Return the context of the nominal vehicle."""
+    R = euler_to_matrix(ops, x[THETA])
+    return _context(vehicle, x, R, mat_t_vec(R, x[V]), vehicle.mass_kg, 1.0, 0.0)
 
 
 def _context(

@@ -209,6 +209,7 @@ class SegmentModel:
         target = self._commanded(theta_scaled, command)
         middle = self._lagged(theta_scaled, target, thrust, 0.5 * dt)
         after = self._lagged(theta_scaled, target, thrust, dt)
+        spinning_up = [(end - start) / dt for end, start in zip(after, thrust, strict=True)]
         force_ned = [
             measured[3 * i] * w[0] + measured[3 * i + 1] * w[1] + measured[3 * i + 2] * w[2] for i in range(3)
         ]
@@ -222,6 +223,7 @@ class SegmentModel:
             out = dynamics.rigid_body(
                 CASADI, vehicle, parts, full, voltage, t_s, force_ned, torque_frd, states
             )
+            out = dynamics.with_thrust_rates(CASADI, vehicle, parts, full, out, spinning_up)
             rates = slots.memory_rates(CASADI, vehicle, parts, full, states, out[V], voltage, t_s)
             return ([*out[:9], 0.0, 0.0, 0.0] if self.rate_driven else out), rates
 

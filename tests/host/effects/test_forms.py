@@ -15,7 +15,7 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.host.codegen import CASADI
 from trimtab.host.effects import Effect, Parameter, compose_feedforward, form
 from trimtab.host.models import slots
-from trimtab.host.models.dynamics import derivative, rigid_body
+from trimtab.host.models.dynamics import derivative, rigid_body, with_thrust_rates
 
 FORMED = sorted(name for name, effect in EFFECTS.items() if any(p.form for p in effect.parameters))
 FORMS = [(name, p.key) for name in FORMED for p in EFFECTS[name].parameters if p.form]
@@ -47,7 +47,8 @@ def fast(name: str, theta: tuple[float, ...], seed: int) -> np.ndarray:
     parts = [(EFFECTS[name], theta)]
     memory = [0.1 + value for value in slots.memory_at_rest(FLOAT, VEHICLE, parts, x)]
     body = rigid_body(FLOAT, VEHICLE, parts, x, 0.9, memory=memory)
-    return np.array([*body, *rates(parts, x, voltage_ratio=0.9)[12:]])
+    thrust_rates = rates(parts, x, voltage_ratio=0.9)[12:].tolist()
+    return np.array([*with_thrust_rates(FLOAT, VEHICLE, parts, x, body, thrust_rates), *thrust_rates])
 
 
 def change(

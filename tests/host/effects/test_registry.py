@@ -34,6 +34,7 @@ SHIPPED = {
 FORMS = {
     "battery-sag": ("load_share",),
     "ground-effect": ("fade",),
+    "gyroscopic": ("spin_up",),
     "linear-drag": ("rotor_share", "height_m"),
     "quadratic-drag": ("side", "top"),
     "rotor-loss": ("rotor_share", "torque_ratio"),

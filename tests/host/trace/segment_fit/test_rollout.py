@@ -270,6 +270,19 @@ def test_slung_payload_swings_with_its_period_from_rest() -> None:
     np.testing.assert_allclose(force, 1e-4 * (natural**2 * swing + 2 * 0.05 * natural * speed), atol=5e-6)
 
 
+def test_rotors_that_spin_up_turn_the_vehicle_against_their_angular_momentum() -> None:
+    spins = np.array([rotor.spin_sign for rotor in VEHICLE.rotors])
+    command = np.full((1, PRE + STEPS, 4), HOVER)
+    command[:, PRE:] *= np.sqrt(1.0 + 0.1 * spins)
+    data = make(command, np.zeros((1, 12)))
+    spinning, without = (
+        lane_of(data, gyroscopic__h=4.0, gyroscopic__spin_up=share)[:, 6:9] for share in (1.0, 0.0)
+    )
+    gained = 4.0 * VEHICLE.inertia_kg_m2[0] * (spins * np.sqrt(1.0 + 0.1 * spins)).sum()
+    expected = [0.0, 0.0, gained / VEHICLE.inertia_kg_m2[2]]
+    np.testing.assert_allclose((spinning - without)[-1], expected, rtol=2e-3, atol=1e-9)
+
+
 def test_measured_turn_recovers_a_constant_torque_from_the_gyro() -> None:
     data = make(np.full((1, PRE + STEPS, 4), HOVER), np.zeros((1, 12)))
     ramp = 3.0 * DT * (np.arange(STEPS) + 0.5)
