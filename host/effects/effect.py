@@ -198,7 +198,7 @@ class Effect:
         Whether `torque_frd` is 0 at the neutral form (`Parameter.form`). No plan avoids such a torque.
     noise_dependent
         Whether the noise in the loop decides what the effect does, as it does where the effect is not smooth.
-        Predictions of whole flights contain no noise, so they cannot show it.
+        Predictions of whole flights contain no noise, so they cannot show it. Neither do sampled commands.
     memory
         Number of states that the effect adds. `memory_start` gives their values at rest, `memory_rates` their
         derivatives.

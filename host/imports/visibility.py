@@ -33,4 +33,6 @@ def invisible_effects(
             reasons[name] = f"{', '.join(replaced)} unknown"
         elif absent:
             reasons[name] = f"no {', '.join(absent)}"
+        elif effect.noise_dependent:
+            reasons[name] = "commands are samples, not means"
     return reasons

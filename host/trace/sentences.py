@@ -142,7 +142,8 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     ),
     Code.NO_GYRO: lambda f: "no gyro: actuation delay and mocap latency are hard to distinguish",
     Code.SAMPLED_COMMANDS: lambda f: (
-        "sampled commands bias motor lag and inertia, since commands between two samples are unknown"
+        "sampled commands bias motor lag and inertia and hide dead zones, since commands between two samples "
+        "are unknown"
     ),
     Code.SLOW_COMMANDS: lambda f: (
         f"{_topic_at(f, f.value)} is too slow to show the motor lag of "

@@ -120,7 +120,8 @@ def _look(given: ForeignLog) -> dict[str, Any]:
     else:
         say(f"cannot be imported: {problem}")
     profile = LOGGING_PROFILES.get(given.format)
-    if profile is not None and (problem is not None or visible.invisible_effects):
+    hidden = [name for name in visible.invisible_effects if not effects[name].noise_dependent]
+    if profile is not None and (problem is not None or hidden):
         say(f"to show more, log with {profile}")
     if problem is None:
         say("import it with --vehicle VEHICLE -o LOG.mcap")

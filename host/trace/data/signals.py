@@ -297,7 +297,13 @@ def departure(flight: Flight, signal: Signal) -> float:
 
 
 def has_signals(effect: Effect, flights: Sequence[Flight]) -> bool:
-    """Return whether every signal that the effect needs deviates enough from rest in one of the flights."""
+    """Return whether the flights have the signals that the effect needs.
+
+    Every one deviates enough from rest in one of the flights. Sampled commands lack most of their noise, so
+    an effect that depends on it needs control telemetry, whose commands are means.
+    """
+    if effect.noise_dependent and all(flight.control is None for flight in flights):
+        return False
     return all(
         any(departure(flight, signal) > bound for flight in flights)
         for signal, bound in effect.needs_signals.items()

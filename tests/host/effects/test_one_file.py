@@ -241,6 +241,9 @@ def test_effect_is_left_out_if_its_signals_are_at_rest(tmp_path: Path, effects: 
         True,
     ]
     assert [has_signals(shipped, flights) for flights in ([bare, turning], [still])] == [False, True]
+    noisy = replace(shipped, needs_signals={}, noise_dependent=True)
+    assert has_signals(replace(noisy, noise_dependent=False), [bare])
+    assert not has_signals(noisy, [bare, still, turning])  # none holds control telemetry
     # Without recorded inputs the thrust is unknown, which would replace the effect.
     known = {name: effects[name] for name in ("linear-drag", "mass")}
     known["pose-age"] = replace(own, replaced_by=())
