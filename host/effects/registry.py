@@ -9,10 +9,19 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from trimtab.host.base.errors import TrimtabError
-from trimtab.host.effects import flat_imports
+from trimtab.host.effects import flat_imports, trial
 from trimtab.host.effects.effect import Effect
 
-_NOT_EFFECTS = {"__init__", "effect", "registry", "feedforward", "flat_imports", "parameter", "unknowns"}
+_NOT_EFFECTS = {
+    "__init__",
+    "effect",
+    "registry",
+    "feedforward",
+    "flat_imports",
+    "parameter",
+    "trial",
+    "unknowns",
+}
 
 
 class EffectError(TrimtabError, ValueError):
@@ -34,8 +43,8 @@ def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
     Raises
     ------
     EffectError
-        If a file does not define its effect, a workspace file takes a shipped name, or an effect refers to an
-        unknown effect.
+        If a file does not define its effect, a slot returns wrong numbers, a workspace file takes a shipped
+        name, or an effect refers to an unknown effect.
     """
     effects = {effect.name: effect for effect in _read_folder(Path(__file__).parent)}
     folder = None if workspace is None else Path(workspace) / "effects"
@@ -99,4 +108,7 @@ def _read_file(path: Path) -> Effect:
         raise EffectError(
             f"{label}: defines effect {effect.name}; rename the file to {_stem(effect.name)}.py"
         )
+    wrong = trial.fault(effect)
+    if wrong is not None:
+        raise EffectError(f"{label}: {wrong}")
     return dataclasses.replace(effect, source_id=digest)

@@ -118,6 +118,47 @@ def test_load_effects_bad_workspace_file_is_named(tmp_path, file, text, message)
     assert error.value.exit_code == 2
 
 
+@pytest.mark.parametrize(
+    ("slots", "message"),
+    [
+        (
+            "added_inertia_kg_m2=lambda ops, theta, mass: (theta[0], 0.0, 0.0)",
+            "added_inertia_kg_m2 returns 3 numbers; it must return 4",
+        ),
+        (
+            "mass_factor=lambda ops, theta: (1.0, theta[0])",
+            r"mass_factor fails at neutral values with TypeError: .*",
+        ),
+        (
+            "wind_ned=lambda ops, theta: theta[0]",
+            r"wind_ned fails at neutral values with TypeError: .*",
+        ),
+        (
+            "gravity_ned=lambda ops, theta: (0.0, 0.0, float('nan') if theta[0] else 0.0)",
+            r"gravity_ned returns \[0.0, 0.0, nan\] at typical values; bound what it computes",
+        ),
+        (
+            "rotor_factors=lambda ops, theta: (1.0,) * 4",
+            r"rotor_factors fails at neutral values with TypeError: .*",
+        ),
+        (
+            "memory=2, memory_start=lambda ops, theta, ctx: (0.0, 0.0), "
+            "memory_rates=lambda ops, theta, ctx: ctx.memory[:1]",
+            "memory_rates returns 1 numbers; it must return 2",
+        ),
+    ],
+)
+def test_load_effects_refuses_a_file_whose_slots_return_wrong_numbers(
+    tmp_path: Path, slots: str, message: str
+) -> None:
+    text = WORKSPACE_EFFECT.format(name="roll-push").replace(
+        "    torque_frd=", f"    {slots},\n    torque_frd="
+    )
+    write(tmp_path, "roll_push.py", text)
+    with pytest.raises(EffectError, match=rf"^effects/roll_push\.py: {message}$"):
+        load_effects(tmp_path)
+
+
 def test_effects_fill_at_least_one_slot_and_state_their_source():
     for effect in load_effects().values():
         assert any(getattr(effect, slot) is not None for slot in SLOTS)
