@@ -98,7 +98,7 @@ EFFECT = Effect(
         Parameter(
             key="length_m",
             unit="m",
-            neutral=0.4,
+            neutral=0.6,
             typical=0.3,
             tolerance=0.05,
             lower=0.15,

@@ -42,6 +42,24 @@ def compares_hovers(flights: Sequence[Flight]) -> bool:
     )
 
 
+def at_first_start(effect: Effect) -> Effect:
+    """Return an effect with states whose other parameters than strengths are neutral at its first start.
+
+    A hover does not tell them. With the shortest line, a payload hangs free in most hovers, so its weight
+    shows; that of one on the floor would not.
+    """
+    if not (effect.memory and effect.starts):
+        return effect
+    start = dict(zip(effect.keys, effect.starts[0], strict=False))  # without the form
+    parameters = (
+        parameter
+        if parameter.strength or parameter.form
+        else replace(parameter, neutral=start[parameter.key])
+        for parameter in effect.parameters
+    )
+    return replace(effect, parameters=tuple(parameters))
+
+
 def compare(
     logs: TraceData, effects: Mapping[str, Effect], baseline: int, provenance: Mapping[str, object] | None
 ) -> Trace:
@@ -61,7 +79,7 @@ def compare(
     parameters = space(
         vehicle,
         {
-            name: replace(effect, adjustment=False, replaced_by=(), freed_by=())
+            name: replace(at_first_start(effect), adjustment=False, replaced_by=(), freed_by=())
             for name, effect in effects.items()
             if effect.changes_hover
         },

@@ -20,7 +20,7 @@ from trimtab.host.imports.write import write
 from trimtab.host.log import Flight, read_flight, write_imported
 from trimtab.host.models.file import read_model
 from trimtab.host.trace.decision.findings import LogsRefused
-from trimtab.host.trace.hover.compare import compares_hovers
+from trimtab.host.trace.hover.compare import at_first_start, compares_hovers
 from trimtab.host.trace.result import Trace
 from trimtab.host.trace.run import run
 from trimtab.host.vehicle import load_vehicle
@@ -210,3 +210,13 @@ def test_labelled_flights_of_others(
         assert cause <= explanations(result)
         if cause:
             assert [*result.effects[0].parameters] == ["loss_3"]
+
+
+def test_payload_of_a_hover_hangs_free_and_other_effects_stay_as_they_are() -> None:
+    effects = load_effects()
+    payload = at_first_start(effects["slung-payload"])
+    ratio, length, damping, *form = payload.parameters
+    assert (ratio.neutral, length.neutral, damping.neutral) == (0.0, 0.25, 0.05)
+    assert [p.neutral for p in form] == [p.neutral for p in effects["slung-payload"].parameters[3:]]
+    for name in ("dead-zone", "ground-effect"):  # starts without states, and neither
+        assert at_first_start(effects[name]) is effects[name]
