@@ -1,4 +1,4 @@
-"""Gyroscopic torque of the rotors: if rotors of one spin are faster, roll and pitch are coupled."""
+"""Angular momentum of the rotors: it couples roll and pitch, and rotors that spin up turn the vehicle."""
 
 from __future__ import annotations
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
-from trimtab.host.effects.effect import Context, Effect, Theta
+from trimtab.host.effects.effect import SLOTS, Context, Effect, Theta
 
 _ARM_M = 0.1
 _CONTEXT = Context(
@@ -77,9 +78,10 @@ def _calls(effect: Effect, theta: Theta) -> list[tuple[str, int | None, Callable
         "memory_start": (effect.memory, (ctx,)),
         "memory_rates": (effect.memory, (swinging,)),
     }
-    filled = ((name, getattr(effect, name), *how) for name, how in arguments.items())
-    return [
-        (name, count, lambda slot=slot, more=more: slot(FLOAT, theta, *more))
-        for name, slot, count, more in filled
-        if slot is not None
-    ]
+    calls = []
+    for name in (*SLOTS, "memory_start", "memory_rates"):
+        slot = getattr(effect, name)
+        if slot is not None:
+            count, more = arguments[name]
+            calls.append((name, count, partial(slot, FLOAT, theta, *more)))
+    return calls

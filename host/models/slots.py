@@ -6,6 +6,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from functools import reduce
 from typing import Any, NamedTuple
 
 from trimtab.firmware_model.law.constants import GRAVITY
@@ -64,32 +65,30 @@ def _loaded(
     t_s: Scalar,
 ) -> Context:
     """Return the context with the mass, thrusts and wind of all effects."""
-    mass, wind = _mass_and_wind(ops, vehicle, effects)
-    v = x[V]
+    v, wind = x[V], _wind_ned(ops, effects)
     v_air = v if wind is None else (v[0] - wind[0], v[1] - wind[1], v[2] - wind[2])
-    ctx = _context(vehicle, x, R, mat_t_vec(R, v_air), mass, voltage_ratio, t_s)
+    ctx = _context(vehicle, x, R, mat_t_vec(R, v_air), mass_kg(ops, vehicle, effects), voltage_ratio, t_s)
     thrust = _effective_thrust(ops, effects, ctx)
     return ctx if thrust is None else ctx._replace(thrust=thrust, collective_n=_sum(thrust))
 
 
 def mass_kg(ops: Ops, vehicle: Airframe, effects: Sequence[Part]) -> Scalar:
     """Return the mass (kg) with all effects."""
-    return _mass_and_wind(ops, vehicle, effects)[0]
-
-
-def _mass_and_wind(
-    ops: Ops, vehicle: Airframe, effects: Sequence[Part]
-) -> tuple[Scalar, Sequence[Scalar] | None]:
-    """Return the mass (kg) with all effects, and their wind (NED), None without any."""
     mass: Scalar = vehicle.mass_kg
-    wind: Sequence[Scalar] | None = None
     for effect, theta in effects:
         if effect.mass_factor is not None:
             mass = mass * effect.mass_factor(ops, theta)
+    return mass
+
+
+def _wind_ned(ops: Ops, effects: Sequence[Part]) -> Sequence[Scalar] | None:
+    """Return the wind of all effects, m/s NED; None without any."""
+    wind: Sequence[Scalar] | None = None
+    for effect, theta in effects:
         if effect.wind_ned is not None:
             w = effect.wind_ned(ops, theta)
             wind = w if wind is None else add(wind, w)
-    return mass, wind
+    return wind
 
 
 def _effective_thrust(ops: Ops, effects: Sequence[Part], ctx: Context) -> Sequence[Scalar] | None:
@@ -144,15 +143,12 @@ def thrust_rate_torque_frd(
 
     thrust_rates: derivatives of the rotor thrusts, N/s.
     """
-    if all(effect.thrust_rate_torque_frd is None for effect, _ in effects):
+    filled = [(effect.thrust_rate_torque_frd, theta) for effect, theta in effects]
+    slots = [(slot, theta) for slot, theta in filled if slot is not None]
+    if not slots:
         return None
     ctx = _nominal(ops, vehicle, x)
-    torque: Sequence[Scalar] | None = None
-    for effect, theta in effects:
-        if effect.thrust_rate_torque_frd is not None:
-            t = effect.thrust_rate_torque_frd(ops, theta, ctx, thrust_rates)
-            torque = t if torque is None else add(torque, t)
-    return torque
+    return reduce(add, (slot(ops, theta, ctx, thrust_rates) for slot, theta in slots))
 
 
 def _sum(thrust: Sequence[Scalar]) -> Scalar:
@@ -256,8 +252,10 @@ def memory_size(effects: Iterable[Effect]) -> int:
 
 def memory_at_rest(ops: Ops, vehicle: Airframe, effects: Sequence[Part], x: Sequence[Scalar]) -> list[Scalar]:
     """Return the effects' states after a long rest in state x, one effect after the other."""
-    ctx = _nominal(ops, vehicle, x)
     out: list[Scalar] = []
+    if not memory_size(effect for effect, _ in effects):
+        return out
+    ctx = _nominal(ops, vehicle, x)
     for effect, theta in effects:
         if effect.memory_start is not None:
             out += effect.memory_start(ops, theta, ctx)

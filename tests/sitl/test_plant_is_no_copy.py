@@ -446,10 +446,8 @@ def test_slung_payload_differs_from_the_hosts_form(vehicle: Vehicle) -> None:
 
     felt = np.array([[0.0], [0.0], [GRAVITY_M_S2]]) - np.gradient(speed, h, axis=1)
     lengths, tension_shares = (v.ravel() for v in np.meshgrid(np.linspace(0.6, 0.8, 21), [0.0, 0.5, 1.0]))
-    effect, light = (
-        load_effects()["slung-payload"],
-        1e-9,
-    )  # so light that the thrust alone carries the vehicle
+    effect = load_effects()["slung-payload"]
+    light = 1e-9  # the thrust alone carries the vehicle
     assert effect.memory_rates is not None
     assert effect.specific_force_frd is not None
     theta = (light, lengths, 0.04, tension_shares)
