@@ -35,6 +35,8 @@ from trimtab.sitl.studies.flights import (
 from trimtab.sitl.studies.worlds import PlannedWorld, redrawn_seed
 from trimtab.sitl.world import WorldFile
 
+pytestmark = pytest.mark.timeout(1200)  # five worlds are flown and traced one after the other
+
 ROOT = Path(__file__).parents[3]
 KEYS = set(
     [
