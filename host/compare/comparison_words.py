@@ -7,6 +7,7 @@ from trimtab.host.compare.logs import FigureComparison, LogsComparison, Over
 from trimtab.host.compare.models import FAR_SDS, ComparedModel, ModelsComparison, ParameterDifference
 from trimtab.host.compare.plans import FIGURES as PLAN_FIGURES
 from trimtab.host.compare.plans import PlansComparison
+from trimtab.host.log import settings_lines
 from trimtab.host.show.models import SDS
 
 _LOG_WORDS = {
@@ -64,7 +65,7 @@ def _logs(logs: LogsComparison) -> list[str]:
     for side, names in (("A", logs.a_only), ("B", logs.b_only)):
         if names:
             out.append(f"only in {side}: {', '.join(names)}")
-    return out
+    return out + settings_lines(logs.settings, ("in A", "in B"))
 
 
 def _figure(figure: FigureComparison, over: Over | None) -> str:

@@ -10,7 +10,16 @@ from typing import Any, Literal
 import numpy as np
 
 from trimtab.host.compare.statistics import Difference, paired_difference, unpaired_difference
-from trimtab.host.log import FAILSAFE_WORDS, LogError, read_flight, topics
+from trimtab.host.log import (
+    FAILSAFE_WORDS,
+    ChangedSetting,
+    LogError,
+    Setting,
+    changed_settings,
+    read_flight,
+    settings_of,
+    topics,
+)
 from trimtab.host.log.tracking import feedforward_faded_s, tracking_error
 from trimtab.host.vehicle import Vehicle
 
@@ -28,6 +37,7 @@ class FlightFigures:
     id: str
     reference: str | None
     vehicle: Vehicle
+    settings: Mapping[str, Setting] | None
     figures: Mapping[str, float]
     notes: tuple[str, ...]
 
@@ -74,7 +84,8 @@ class LogsComparison:
     """Two groups of flights.
 
     over: what the intervals are over; None without a common reference. a_only, b_only: logs whose reference
-    the other group did not fly, or that have none.
+    the other group did not fly, or that have none. settings: those on board that differ; None if the logs of
+    one group do not record them.
     """
 
     pairs: tuple[ReferencePair, ...]
@@ -82,6 +93,7 @@ class LogsComparison:
     figures: tuple[FigureComparison, ...]
     a_only: tuple[str, ...]
     b_only: tuple[str, ...]
+    settings: tuple[ChangedSetting, ...] | None
     notes: tuple[str, ...]
 
     def to_dict(self) -> dict[str, Any]:
@@ -92,6 +104,9 @@ class LogsComparison:
             "figures": [figure.to_dict() for figure in self.figures],
             "a_only": list(self.a_only),
             "b_only": list(self.b_only),
+            "settings": (
+                None if self.settings is None else [each.to_dict("a", "b") for each in self.settings]
+            ),
             "notes": list(self.notes),
         }
 
@@ -138,6 +153,7 @@ def _figures(path: Path) -> FlightFigures:
         id=flight.id,
         reference=flight.reference_id,
         vehicle=flight.vehicle,
+        settings=settings_of(flight),
         figures=figures,
         notes=tuple(notes),
     )
@@ -168,6 +184,7 @@ def compare_logs(a: Sequence[FlightFigures], b: Sequence[FlightFigures]) -> Logs
         figures=tuple(figure for figure in figures if figure is not None),
         a_only=tuple(flight.log for flight in a if flight.reference not in common),
         b_only=tuple(flight.log for flight in b if flight.reference not in common),
+        settings=changed_settings([flight.settings for flight in a], [flight.settings for flight in b]),
         notes=tuple(dict.fromkeys(notes)),
     )
 

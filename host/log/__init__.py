@@ -9,6 +9,13 @@ from trimtab.host.log.one_flight import Flight
 from trimtab.host.log.provenance import Provenance
 from trimtab.host.log.rebuilt import Rebuilt
 from trimtab.host.log.recover import Recovery, recover
+from trimtab.host.log.settings import (
+    ChangedSetting,
+    Setting,
+    changed_settings,
+    settings_lines,
+    settings_of,
+)
 from trimtab.host.log.topics import FLIGHT_TOPICS, IMPORTED_TOPICS, Topic
 from trimtab.host.log.tracks import (
     FAILSAFE_WORDS,
@@ -31,6 +38,7 @@ __all__ = [
     "FLIGHT_TOPICS",
     "IMPORTED_TOPICS",
     "Battery",
+    "ChangedSetting",
     "Control",
     "Estimate",
     "Flight",
@@ -45,14 +53,18 @@ __all__ = [
     "RecordedImu",
     "RecordedInputs",
     "Recovery",
+    "Setting",
     "Status",
     "Topic",
+    "changed_settings",
     "failsafe_name",
     "is_same_flight",
     "log_parents",
     "partial_path",
     "read_flight",
     "recover",
+    "settings_lines",
+    "settings_of",
     "to_lines",
     "write_imported",
 ]

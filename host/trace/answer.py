@@ -70,6 +70,9 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
             for owner, values in baseline.common.items()
         },
         "thrust_sd": baseline.thrust_sigma,
+        "settings": (
+            None if baseline.settings is None else [setting.to_dict() for setting in baseline.settings]
+        ),
     }
 
 

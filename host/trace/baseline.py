@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from trimtab.host.log import Flight
+from trimtab.host.log import ChangedSetting, Flight
 from trimtab.host.trace.data.segments import Segments
 from trimtab.host.trace.decision.findings import OUTSIDE_LIBRARY_CODES, Code, LogsRefused
 from trimtab.host.trace.decision.residual_rules import residual_bounds, residual_findings
@@ -70,10 +70,15 @@ def check_baseline(
         )
 
 
-def baseline_of(space: JointSpace, selected: SegmentFit, logs: Sequence[str]) -> Baseline:
+def baseline_of(
+    space: JointSpace,
+    selected: SegmentFit,
+    logs: Sequence[str],
+    settings: tuple[ChangedSetting, ...] | None,
+) -> Baseline:
     """Return what a comparison says of its baseline.
 
-    selected: joint fit of both sets. logs: names of the logs of the baseline.
+    selected: joint fit of both sets. logs: names of the logs of the baseline. settings: those that differ.
     """
     values = space.values(selected.theta_scaled)
     sd = np.sqrt(np.diag(selected.covariance)) * space.scale
@@ -84,4 +89,6 @@ def baseline_of(space: JointSpace, selected: SegmentFit, logs: Sequence[str]) ->
             continue
         entry = common.setdefault(column.owner.removeprefix(COMMON), {})
         entry[column.key] = Value(value=float(values[i]), sd=float(sd[i]), unit=column.unit)
-    return Baseline(logs=tuple(logs), common=common, thrust_sigma=RULES.session_thrust_sigma)
+    return Baseline(
+        logs=tuple(logs), common=common, thrust_sigma=RULES.session_thrust_sigma, settings=settings
+    )

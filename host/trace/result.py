@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.log import ChangedSetting
 from trimtab.host.models.model import Model
 from trimtab.host.trace.data.audit import Audit
 from trimtab.host.trace.data.cutting import SEGMENT_S
@@ -85,11 +86,15 @@ class Baseline:
         curve.
     thrust_sigma
         Standard deviation within which the thrust scale of each log is free.
+    settings
+        Settings on board that differ between the sets; None if the logs of one set do not record them. They
+        change no verdict, because recorded commands drive the model.
     """
 
     logs: tuple[str, ...]
     common: Mapping[str, Mapping[str, Value]]
     thrust_sigma: float
+    settings: tuple[ChangedSetting, ...] | None
 
 
 @dataclass(frozen=True, kw_only=True)

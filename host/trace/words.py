@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 
 from trimtab.host.base.card import card, simulated_badge, table
+from trimtab.host.log import settings_lines
 from trimtab.host.trace.data.audit import Audit, UnusedStretch
 from trimtab.host.trace.decision.exact_aliases import ObservedAlias
 from trimtab.host.trace.decision.findings import CHANNEL_UNITS, DOUBTS, OUTSIDE_LIBRARY_CODES, Code, Verdict
@@ -16,6 +17,7 @@ from trimtab.host.trace.result import Baseline, Named, Trace
 from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
 _SHOWN_STRETCHES = 5
+_SIDES = ("before", "after")
 """Stretches of one log that the text lists."""
 
 
@@ -150,6 +152,7 @@ def result_lines(result: Trace) -> list[str]:
     lines = [f"verdict: {result.verdict}"]
     if result.baseline is not None:
         lines.append(f"  {baseline_line(result.baseline)}")
+        lines += [f"  {text}" for text in settings_lines(result.baseline.settings, _SIDES)]
     for effect in result.effects:
         lines += _effect_lines(effect)
     if result.effects:
@@ -249,6 +252,8 @@ def verdict(result: Trace) -> str:
     text = texts[result.verdict, bool(names)].format(names)
     if result.baseline is not None:
         text += f" {baseline_line(result.baseline).capitalize()}."
+        lines = settings_lines(result.baseline.settings, _SIDES)
+        text += "".join(f" {line[0].upper()}{line[1:]}." for line in lines)
     if result.before_score and result.after_score and result.effects:
         b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]
         n = len(result.before)

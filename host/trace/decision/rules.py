@@ -138,8 +138,8 @@ class Rules:
     majority: float = _rule(
         0.5,
         "1",
-        "If no effect is selected: probability of a missing effect above which the trace reports that one is "
-        "missing.",
+        "If no effect is selected: probability of no change below which a comparison is `undecided`, and "
+        "probability of a missing effect above which an `undecided` trace reports that one is missing.",
     )
     open_probability: float = _rule(
         0.5, "1", "Probability of an alternative about which the data contains no information."
@@ -444,8 +444,8 @@ class Rules:
     change_odds_against: float = _rule(
         10.0,
         "1",
-        "Prior odds against each cause. They are lower than those of a trace, since the flights "
-        "were compared for a reason.",
+        "Prior odds against each cause in a comparison of hovers. They are lower than those of a trace, "
+        "since the flights were compared for a reason.",
     )
     hover_thrust_sigmas: tuple[float, ...] = _rule(
         (0.005, 0.01, 0.02, 0.05),

@@ -9,7 +9,7 @@ import numpy as np
 
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import THRUST_CURVE
-from trimtab.host.log import Flight
+from trimtab.host.log import ChangedSetting, Flight
 from trimtab.host.log.provenance import count_simulated
 from trimtab.host.models.model import Model
 from trimtab.host.models.region import Region
@@ -61,11 +61,16 @@ def at_first_start(effect: Effect) -> Effect:
 
 
 def compare(
-    logs: TraceData, effects: Mapping[str, Effect], baseline: int, provenance: Mapping[str, object] | None
+    logs: TraceData,
+    effects: Mapping[str, Effect],
+    baseline: int,
+    settings: tuple[ChangedSetting, ...] | None,
+    provenance: Mapping[str, object] | None,
 ) -> Trace:
     """Return what changed between the first `baseline` flights of `logs` and the others.
 
-    Raises LogsRefused for a log with too little time in the air, and for held-out flights.
+    settings: settings on board that differ between the sets; None if that is not recorded. Raises LogsRefused
+    for a log with too little time in the air, and for held-out flights.
     """
     vehicle = logs.vehicle
     if logs.held_out:
@@ -133,7 +138,10 @@ def compare(
         description=None,
         unexplained=None,
         baseline=Baseline(
-            logs=tuple(each.log for each in audits[:baseline]), common={}, thrust_sigma=selected.thrust_sigma
+            logs=tuple(each.log for each in audits[:baseline]),
+            common={},
+            thrust_sigma=selected.thrust_sigma,
+            settings=settings,
         ),
         simulated_flights=count_simulated(data.flight.metadata for data in logs.flights),
     )

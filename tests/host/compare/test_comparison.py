@@ -16,7 +16,7 @@ from trimtab.host.base.output import json_text
 from trimtab.host.compare.comparison import Comparison, compare
 from trimtab.host.compare.comparison_words import lines, notes
 from trimtab.host.compare.logs import FlightFigures, compare_logs
-from trimtab.host.log import LogError, read_flight
+from trimtab.host.log import ChangedSetting, LogError, Setting, read_flight
 from trimtab.host.log.tracking import tracking_error
 from trimtab.host.models.file import write_model
 from trimtab.host.models.model import Assessment, Covariance, Model
@@ -46,14 +46,42 @@ def compared(a: Path, b: Path) -> Comparison:
     return result
 
 
-def flown(log: str, reference: str | None, rmse_m: float, *, faded_s: float | None = None) -> FlightFigures:
+def flown(
+    log: str,
+    reference: str | None,
+    rmse_m: float,
+    *,
+    faded_s: float | None = None,
+    settings: dict[str, Setting] | None = None,
+) -> FlightFigures:
     figures = {"error_mean_m": rmse_m, "error_rmse_m": rmse_m, "error_max_m": 2.0 * rmse_m}
     if faded_s is not None:
         figures["feedforward_faded_s"] = faded_s
-    return FlightFigures(log=log, id=log, reference=reference, vehicle=VEHICLE, figures=figures, notes=())
+    return FlightFigures(
+        log=log,
+        id=log,
+        reference=reference,
+        vehicle=VEHICLE,
+        settings=settings,
+        figures=figures,
+        notes=(),
+    )
 
 
 # Logs
+
+
+def test_settings_on_board_that_differ_are_listed() -> None:
+    a = [flown("a1", "r", 0.1, settings={"MASS": 0.75, "RATE_P_X": 30.0})]
+    b = [flown("b1", "r", 0.1, settings={"MASS": 0.75, "RATE_P_X": 25.0}), flown("b2", "r", 0.1)]
+    found = compare_logs(a, b)
+    assert found.settings == (ChangedSetting(name="RATE_P_X", before=(30.0,), after=(25.0,)),)
+    assert found.to_dict()["settings"] == [{"name": "RATE_P_X", "a": [30.0], "b": [25.0]}]
+    result = Comparison(a="a", b="b", logs=found, models=(), plans=(), unpaired=(), notes=())
+    assert lines(result)[-1] == "settings on board that differ: RATE_P_X 30 in A, 25 in B"
+    unknown = compare_logs(a, b[1:])
+    assert unknown.settings is None
+    assert unknown.to_dict()["settings"] is None
 
 
 def test_flights_are_paired_by_reference_and_repeats_are_averaged() -> None:

@@ -110,8 +110,11 @@ def test_nothing_changed_between_flights_of_one_world() -> None:
     assert verdict_in_words(result).startswith("Nothing changed since the baseline")
     for text in (verdict_in_words(result), *result_lines(result)[1:2]):
         assert "the baseline is 2 flights; the thrust of each log may differ by about 5 %" in text.lower()
+    assert "  settings on board: the same" in result_lines(result)
+    assert "Settings on board: the same." in verdict_in_words(result)
     answer = to_json(result)
     assert answer["baseline"]["logs"] == ["a1.mcap", "b1.mcap"]
+    assert answer["baseline"]["settings"] == []
     assert answer["baseline"]["thrust_sd"] == 0.05
     gain = answer["baseline"]["common"]["thrust-gain"]["gain"]
     assert abs(gain["value"] - 1.0) > 2.0 * 0.01  # beyond its tolerance, in both sets
