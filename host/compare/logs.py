@@ -17,6 +17,7 @@ from trimtab.host.log import (
     Setting,
     changed_settings,
     read_flight,
+    settings_json,
     settings_of,
     topics,
 )
@@ -104,9 +105,7 @@ class LogsComparison:
             "figures": [figure.to_dict() for figure in self.figures],
             "a_only": list(self.a_only),
             "b_only": list(self.b_only),
-            "settings": (
-                None if self.settings is None else [each.to_dict("a", "b") for each in self.settings]
-            ),
+            "settings": settings_json(self.settings, ("a", "b")),
             "notes": list(self.notes),
         }
 

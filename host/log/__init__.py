@@ -12,7 +12,9 @@ from trimtab.host.log.recover import Recovery, recover
 from trimtab.host.log.settings import (
     ChangedSetting,
     Setting,
+    changed_between,
     changed_settings,
+    settings_json,
     settings_lines,
     settings_of,
 )
@@ -56,6 +58,7 @@ __all__ = [
     "Setting",
     "Status",
     "Topic",
+    "changed_between",
     "changed_settings",
     "failsafe_name",
     "is_same_flight",
@@ -63,6 +66,7 @@ __all__ = [
     "partial_path",
     "read_flight",
     "recover",
+    "settings_json",
     "settings_lines",
     "settings_of",
     "to_lines",

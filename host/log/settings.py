@@ -35,24 +35,22 @@ class ChangedSetting:
     before: tuple[Setting, ...]
     after: tuple[Setting, ...]
 
-    def to_dict(self, before: str = "before", after: str = "after") -> dict[str, Any]:
-        """Return the setting as plain data for JSON, with these keys for the two sets."""
-        return {"name": self.name, before: list(self.before), after: list(self.after)}
-
 
 def settings_of(flight: Flight) -> dict[str, Setting] | None:
     """Return the settings that a flight was flown with; None if its log does not record them."""
     if flight.firmware_parameters is None:
         return None
     control = flight.host_control
-    host = NONE
-    if control is not None:
-        host = " ".join(filter(None, (control.controller, control.settings_id, control.model_id)))
     return {
         **flight.firmware_parameters,
         FEEDFORWARD: flight.metadata.get("feedforward_id", NONE),
-        HOST_CONTROLLER: host,
+        HOST_CONTROLLER: NONE if control is None else " ".join(filter(None, control.identity)),
     }
+
+
+def changed_between(before: Sequence[Flight], after: Sequence[Flight]) -> tuple[ChangedSetting, ...] | None:
+    """Return `changed_settings` of two sets of flights."""
+    return changed_settings(list(map(settings_of, before)), list(map(settings_of, after)))
 
 
 def changed_settings(
@@ -74,6 +72,15 @@ def changed_settings(
         if first != second:
             changes.append(ChangedSetting(name=name, before=first, after=second))
     return tuple(changes)
+
+
+def settings_json(
+    settings: Sequence[ChangedSetting] | None, sides: tuple[str, str]
+) -> list[dict[str, Any]] | None:
+    """Return the settings that differ as plain data, with the keys `sides` for the two sets."""
+    if settings is None:
+        return None
+    return [{"name": each.name, sides[0]: list(each.before), sides[1]: list(each.after)} for each in settings]
 
 
 def settings_lines(settings: Sequence[ChangedSetting] | None, sides: tuple[str, str]) -> list[str]:

@@ -324,6 +324,11 @@ class HostControl(_Track):
     settings_id: str
     model_id: str | None
 
+    @property
+    def identity(self) -> tuple[str, str, str | None]:
+        """Name, settings and model of the controller: two flights with the same one were flown alike."""
+        return self.controller, self.settings_id, self.model_id
+
 
 @dataclass(frozen=True, kw_only=True, eq=False)
 class RecordedInputs(_Track):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+from trimtab.host.log import settings_json
 from trimtab.host.trace import words
 from trimtab.host.trace.data.audit import Audit
 from trimtab.host.trace.decision.findings import DOUBTS, OUTSIDE_LIBRARY_CODES
@@ -70,9 +71,7 @@ def _baseline(baseline: Baseline) -> dict[str, Any]:
             for owner, values in baseline.common.items()
         },
         "thrust_sd": baseline.thrust_sigma,
-        "settings": (
-            None if baseline.settings is None else [setting.to_dict() for setting in baseline.settings]
-        ),
+        "settings": settings_json(baseline.settings, ("before", "after")),
     }
 
 

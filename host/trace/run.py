@@ -7,7 +7,7 @@ from collections.abc import Callable, Mapping, Sequence
 from trimtab.host.base import parallel
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import THRUST, TORQUE
-from trimtab.host.log import Flight, changed_settings, settings_of
+from trimtab.host.log import Flight, changed_between
 from trimtab.host.log.provenance import count_simulated
 from trimtab.host.trace.assembly import (
     after_change,
@@ -93,11 +93,10 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     jobs = parallel.cores() if jobs is None else jobs
     if baseline:
         check_sets(flights, baseline)
-    settings = changed_settings(list(map(settings_of, baseline)), list(map(settings_of, flights)))
     logs = read_logs([*baseline, *flights], held_out, vehicle)
     if baseline and compares_hovers([data.flight for data in logs.flights]):
         on_progress("comparing hovers")
-        return compare(logs, effects, len(baseline), settings, provenance)
+        return compare(logs, effects, len(baseline), provenance)
     logs = logs.compared(len(baseline)) if baseline else logs
     on_progress("reading segments")
     parameters = _space(logs, effects, len(baseline))
@@ -159,7 +158,10 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
         unexplained=learned,
         baseline=(
             baseline_of(
-                parameters, diagnosis.selected, [each.log for each in audits[: len(baseline)]], settings
+                parameters,
+                diagnosis.selected,
+                [each.log for each in audits[: len(baseline)]],
+                changed_between(baseline, flights),
             )
             if isinstance(parameters, JointSpace)
             else None

@@ -17,7 +17,6 @@ from trimtab.host.trace.result import Baseline, Named, Trace
 from trimtab.host.trace.sentences import closed_form, sentence, sentences, stretch_reason
 
 _SHOWN_STRETCHES = 5
-_SIDES = ("before", "after")
 """Stretches of one log that the text lists."""
 
 
@@ -151,8 +150,7 @@ def result_lines(result: Trace) -> list[str]:
     """Return the whole result as lines of text."""
     lines = [f"verdict: {result.verdict}"]
     if result.baseline is not None:
-        lines.append(f"  {baseline_line(result.baseline)}")
-        lines += [f"  {text}" for text in settings_lines(result.baseline.settings, _SIDES)]
+        lines += [f"  {text}" for text in baseline_lines(result.baseline)]
     for effect in result.effects:
         lines += _effect_lines(effect)
     if result.effects:
@@ -177,13 +175,14 @@ def result_lines(result: Trace) -> list[str]:
     return lines + [f"data: {line}" for line in audit_lines(result.audits)]
 
 
-def baseline_line(baseline: Baseline) -> str:
-    """Return a line on the flights with which a comparison was made."""
+def baseline_lines(baseline: Baseline) -> list[str]:
+    """Return lines on the flights with which a comparison was made, and on settings that differ."""
     logs = len(baseline.logs)
-    return (
+    return [
         f"the baseline is {logs} {'flight' if logs == 1 else 'flights'}; the thrust of each log may differ "
-        f"by about {100 * baseline.thrust_sigma:.2g} % (battery, temperature, propellers)"
-    )
+        f"by about {100 * baseline.thrust_sigma:.2g} % (battery, temperature, propellers)",
+        *settings_lines(baseline.settings, ("before", "after")),
+    ]
 
 
 def _effect_lines(effect: Named) -> list[str]:
@@ -251,9 +250,7 @@ def verdict(result: Trace) -> str:
         names = "; ".join(sentences(result.findings, OUTSIDE_LIBRARY_CODES))
     text = texts[result.verdict, bool(names)].format(names)
     if result.baseline is not None:
-        text += f" {baseline_line(result.baseline).capitalize()}."
-        lines = settings_lines(result.baseline.settings, _SIDES)
-        text += "".join(f" {line[0].upper()}{line[1:]}." for line in lines)
+        text += "".join(f" {line[0].upper()}{line[1:]}." for line in baseline_lines(result.baseline))
     if result.before_score and result.after_score and result.effects:
         b, a = result.before_score["position_rmse_m"], result.after_score["position_rmse_m"]
         n = len(result.before)

@@ -140,17 +140,11 @@ def repeat_flights_of(flights: Sequence[Flight]) -> list[tuple[int, int]]:
             flight.reference_id,
             flight.metadata.get("feedforward_id"),
             flight.firmware_parameters,
-            _host(flight),
+            None if flight.host_control is None else flight.host_control.identity,
         )
         for flight in flights
     ]
     return [(a, b) for a, b in combinations(range(len(flights)), 2) if keys[a][0] and keys[a] == keys[b]]
-
-
-def _host(flight: Flight) -> tuple[str, str, str | None] | None:
-    """Return name, settings and model of the controller on the host that flew, None if none did."""
-    control = flight.host_control
-    return None if control is None else (control.controller, control.settings_id, control.model_id)
 
 
 def flights_by_reference(repeat_flights: Sequence[tuple[int, int]], count: int) -> list[list[int]]:

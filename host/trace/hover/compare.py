@@ -9,7 +9,7 @@ import numpy as np
 
 from trimtab.host.effects import Effect
 from trimtab.host.effects.unknowns import THRUST_CURVE
-from trimtab.host.log import ChangedSetting, Flight
+from trimtab.host.log import Flight, changed_between
 from trimtab.host.log.provenance import count_simulated
 from trimtab.host.models.model import Model
 from trimtab.host.models.region import Region
@@ -61,16 +61,11 @@ def at_first_start(effect: Effect) -> Effect:
 
 
 def compare(
-    logs: TraceData,
-    effects: Mapping[str, Effect],
-    baseline: int,
-    settings: tuple[ChangedSetting, ...] | None,
-    provenance: Mapping[str, object] | None,
+    logs: TraceData, effects: Mapping[str, Effect], baseline: int, provenance: Mapping[str, object] | None
 ) -> Trace:
     """Return what changed between the first `baseline` flights of `logs` and the others.
 
-    settings: settings on board that differ between the sets; None if that is not recorded. Raises LogsRefused
-    for a log with too little time in the air, and for held-out flights.
+    Raises LogsRefused for a log with too little time in the air, and for held-out flights.
     """
     vehicle = logs.vehicle
     if logs.held_out:
@@ -79,6 +74,7 @@ def compare(
             f"{logs.held_out[0].flight.path}: without a body rate in the logs, a comparison predicts no "
             "flight; leave out --hold-out",
         )
+    flights = [data.flight for data in logs.flights]
     audits = [audit(data) for data in logs.flights]
     means = [hover_mean(data, each) for data, each in zip(logs.flights, audits, strict=True)]
     parameters = space(
@@ -141,9 +137,9 @@ def compare(
             logs=tuple(each.log for each in audits[:baseline]),
             common={},
             thrust_sigma=selected.thrust_sigma,
-            settings=settings,
+            settings=changed_between(flights[:baseline], flights[baseline:]),
         ),
-        simulated_flights=count_simulated(data.flight.metadata for data in logs.flights),
+        simulated_flights=count_simulated(flight.metadata for flight in flights),
     )
 
 
