@@ -43,11 +43,13 @@ def pictures(outcome: Mapping[str, Any]) -> dict[str, Figure]:
 def page(outcome: Mapping[str, Any], drawn: Mapping[str, Figure], provenance: Mapping[str, object]) -> str:
     """Return the HTML of the study's report, one file that opens offline."""
     answer = outcome["answer"]
+    worlds = f"{answer['worlds']} worlds"
+    part = worlds if answer["first"] is None else f"the first {answer['first']} of {worlds}"
     where = "" if answer["plant"] is None else f" in the plant of {answer['plant']}"
     source = f"seed {answer['seed']}" if answer["secret"] is None else f"secret {answer['secret'][:8]}"
     return render(
         "study.html.j2",
-        title=f"Blind study of {answer['worlds']} worlds{where}, {source}",
+        title=f"Blind study of {part}{where}, {source}",
         secret=answer["secret"],
         secret_sha256=answer["secret_sha256"],
         table=outcome["table"],

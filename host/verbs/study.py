@@ -45,6 +45,9 @@ class StudyOptions:
     secret
         File with a random secret that the worlds come from, instead of the seed. Made if it does not exist.
         Its SHA-256 is printed at the start, the secret stands in the report. For blind.
+    first
+        Fly and score only the first N worlds, in the order of their numbers. Publishes a study that was
+        stopped. For blind.
     shard
         Run only part I of N of the study (I/N), such as 1/4. Several machines share a study so, each with its
         own folder. For all studies but controller-tuning and real.
@@ -66,6 +69,7 @@ class StudyOptions:
     baselines: Annotated[bool, Parameter(negative="")] = False
     real: Path | None = None
     secret: Path | None = None
+    first: int | None = None
     shard: str | None = None
     merge: tuple[Path, ...] = ()
     output: Output = None
@@ -119,6 +123,7 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
             "with_baselines": options.baselines,
             "real": options.real,
             "secret": options.secret,
+            "first": options.first,
             "flights": flights,
         },
         {
@@ -130,6 +135,7 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
             "with_baselines": "--baselines",
             "real": "--real",
             "secret": "--secret",
+            "first": "--first",
             "flights": "FLIGHTS.toml",
         },
         name,

@@ -85,6 +85,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     real: Path | None = None,
     secret: Path | None = None,
     programme: Programme = BLIND,
+    first: int | None = None,
     shard: Shard | None = None,
     on_progress: OnProgress = lambda done, total, detail: None,
 ) -> dict[str, Any]:
@@ -109,6 +110,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         File with the secret that the worlds come from, instead of the seed; made if it does not exist.
     programme
         Flights in every world.
+    first
+        Number of worlds, in the order of their numbers, that are flown and scored. Default: all.
     shard
         Fly and score its worlds alone.
 
@@ -117,8 +120,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     UsageError
         The folder holds another study or is in use.
     StudyError
-        A route cannot be planned, a world cannot be flown, the plant is unknown or not installed, the secret
-        is invalid, or temporary files would lie in the folder.
+        `first` is not in 1..`worlds`, a route cannot be planned, a world cannot be flown, the plant is
+        unknown or not installed, the secret is invalid, or temporary files would lie in the folder.
     SealBroken
         A truth has changed since it was sealed.
     """
@@ -126,6 +129,8 @@ def run(  # noqa: PLR0913 (one keyword for each option)
     identity, published = _identity(seed, secret)
     source = seed if published["secret"] is None else int(published["secret"], 16)
     planned = plan_worlds(source, worlds, library(), few_flights, plant)
+    if first is not None and not 1 <= first <= worlds:
+        raise StudyError(f"--first {first}: the study has {worlds} worlds; give 1 to {worlds}")
     groups = [] if real is None else read_groups(real)
     folder = folder.absolute()
     folder.mkdir(parents=True, exist_ok=True)
@@ -156,7 +161,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
                 programme=programme_of(world.case, programme),
                 with_baselines=with_baselines and world.case is None,
             )
-            for world in planned
+            for world in planned[:first]
         ]
         _work(tasks if shard is None else shard.of(tasks), ledger, jobs, on_progress)
         scored = sum(map(is_done, tasks))
@@ -165,7 +170,7 @@ def run(  # noqa: PLR0913 (one keyword for each option)
         scores = [_scores(task) for task in tasks]
         done = len(tasks) * (_FLOWN + _JUDGED)
         recorded = judge_real(groups, folder, lambda _, detail: on_progress(done, done, detail), jobs=jobs)
-    setup = {**published, "worlds": worlds, "plant": plant, "folder": str(folder)}
+    setup = {**published, "worlds": worlds, "first": first, "plant": plant, "folder": str(folder)}
     return _outcome(setup, scores, recorded)
 
 

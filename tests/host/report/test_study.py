@@ -20,6 +20,7 @@ OUTCOME = {
         "secret": None,
         "secret_sha256": None,
         "worlds": 4,
+        "first": None,
         "plant": "rotor<b>py",
         "by_family": {
             "timing": {"coverage_2sigma": 0.5, "interval": [0.01, 0.99], "n": 2},
@@ -100,6 +101,8 @@ def test_page_holds_table_pictures_and_wrong_worlds_and_nothing_from_elsewhere()
     assert html.count("<img ") == 4
     assert "Kinds &lt;u&gt;" in html
     assert "1 of 4" in html
+    stopped = page({**OUTCOME, "answer": {**OUTCOME["answer"], "first": 2}}, {}, {})
+    assert "<title>Blind study of the first 2 of 4 worlds in the plant of " in stopped
     published = {"seed": None, "secret": "ab" * 32, "secret_sha256": "cd" * 32}
     sealed = page({**OUTCOME, "answer": {**OUTCOME["answer"], **published}}, {}, {})
     assert "<title>Blind study of 4 worlds in the plant of rotor&lt;b&gt;py, secret abababab " in sealed

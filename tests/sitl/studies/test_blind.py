@@ -21,7 +21,7 @@ from trimtab.host.vehicle import load_vehicle
 from trimtab.host.vehicle.strict_toml import read_strict
 from trimtab.sitl.draw import draw_world
 from trimtab.sitl.studies import blind, flights
-from trimtab.sitl.studies.files import Ledger, SealBroken, read_json, sha256_of
+from trimtab.sitl.studies.files import Ledger, SealBroken, StudyError, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
     FLIGHTS,
     SCORE,
@@ -177,6 +177,8 @@ def test_finished_study_says_the_same_without_work_and_refuses_a_changed_truth(
         return blind.run(folder=study / "state", **{**usual, **other})["answer"]
 
     assert again() == answer
+    part = again(first=2)
+    assert (part["worlds"], part["first"], part["n"]["worlds"]) == (6, 2, 2)
     with pytest.raises(UsageError, match="another seed"):
         again(seed=4)
     truth = study / "state" / "worlds" / "0001" / TRUTH
@@ -210,6 +212,13 @@ def test_world_is_flown_and_sealed_once(tmp_path: Path, short_programme: Program
     assert fly_and_seal(world, folder, references, "research", short_programme) == digest
     assert not (folder / "flights").exists()
     Ledger(tmp_path / "ledger.json").record("0000", digest)
+
+
+@pytest.mark.parametrize("first", [-1, 0, 7])
+def test_first_worlds_are_some_of_those_drawn(tmp_path: Path, first: int) -> None:
+    with pytest.raises(StudyError, match=f"--first {first}: the study has 6 worlds; give 1 to 6"):
+        blind.run(folder=tmp_path, seed=1, worlds=6, first=first, vehicle="research", jobs=1)
+    assert not list(tmp_path.iterdir())
 
 
 def test_folder_in_use_is_refused(tmp_path: Path, short_programme: Programme) -> None:
