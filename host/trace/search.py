@@ -184,19 +184,20 @@ def search(
             break
         current = best
     selected, scores = tried.select()
-    for names in _underrated_sets(space, selected, scores, tried.near(selected)[0]):
-        tried.fit(names, selected)
-    selected, scores = tried.select()
-    # Also fit any set that scores far better in the linearisation than the selected fit, until there is none.
+    # Fit what the linearisation underrates, and any set that scores far better in it than the selected fit.
     for _ in range(RULES.max_effects):
+        for names in _underrated_sets(space, selected, scores, tried.near(selected)[0]):
+            tried.fit(names, selected)
+        selected, scores = tried.select()
         promising = most_probable(scores)
         if promising in fits or scores[selected.effects] > scores[promising] - RULES.tie_nats:
             break
         tried.fit(promising, selected)
         selected, scores = tried.select()
-    # Drop all sets that contain an effect which occurs in no supported fit.
-    supported = {name for names, fit in fits.items() if is_supported(fitter, fit) for name in names}
-    unsupported = {name for names in fits for name in names} - supported
+    # Drop all sets with an effect that some fit contradicts and that occurs in no supported fit.
+    contradicted = {name: contradicted_effects(fitter, fit) for name, fit in fits.items()}
+    supported = {name for names, absent in contradicted.items() if not absent for name in names}
+    unsupported = frozenset().union(*contradicted.values()) - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
     top = max(scores.values())
     weights = {names: float(np.exp(score - top)) for names, score in scores.items()}
@@ -235,24 +236,27 @@ def _underrated_sets(
     """Return sets to fit from the selected fit: those that the screening or an earlier fit may underrate.
 
     These are the selected set without one of its effects, and sets in which an effect stands in place of its
-    aliases. The linearisation does not contain the form of an effect that is absent
-    (`ParameterSpace.forms`), so it underrates these. An earlier fit of a smaller set may have ended in
-    another minimum. scores: of the sets near the selected one, and of the empty set. score: that in the
-    linearisation of the selected fit.
+    aliases. The linearisation underrates these: it holds near the selected fit, where the alias is absent. It
+    also does not contain the form of an effect that is absent (`ParameterSpace.forms`). An earlier fit of a
+    smaller set may have ended in another minimum. scores: of the sets near the selected one, and of the empty
+    set. score: that in the linearisation of the selected fit.
     """
-    trials = [tuple(other for other in selected.effects if other != name) for name in selected.effects]
+    of_form = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
+    margins = {
+        tuple(other for other in selected.effects if other != name): of_form for name in selected.effects
+    }
     for name in space.candidates:
         replaced = [other for other in selected.effects if space.are_aliases(name, other)]
-        if name in selected.effects or not space.forms[name]:
+        if name in selected.effects:
             continue
         for group in {(other,) for other in replaced} | {tuple(replaced)} - {()}:
-            trials.append(tuple(sorted({*selected.effects, name} - set(group))))
-    trials = sorted({names for names in trials if space.admissible(names)})
+            names = tuple(sorted({*selected.effects, name} - set(group)))
+            margins[names] = of_form if space.forms[name] else RULES.worth_fitting_nats
+    trials = sorted({names for names in margins if space.admissible(names)})
     if not trials:
         return []
-    margin = max(RULES.worth_fitting_nats, RULES.form_share * (selected.log_evidence - scores[()]))
     found = zip(trials, score(trials), strict=True)
-    return [names for names, value in found if value > selected.log_evidence - margin]
+    return [names for names, value in found if value > selected.log_evidence - margins[names]]
 
 
 def without_dispensable(selected: Names, weights: Mapping[Names, float]) -> Names:
@@ -312,21 +316,31 @@ def _proposals(scores: dict[Names, float], current: Names) -> list[Names]:
 
 
 def is_supported(fitter: Fitter[F], fit: F) -> bool:
-    """Return whether the data supports the set.
+    """Return whether the data supports the set: it contradicts none of its effects."""
+    return not contradicted_effects(fitter, fit)
 
-    Every effect must exceed its spike and be off its bounds: an effect at a bound explains something
-    else. If it acts through another effect, that one must be large enough. Wind that acts through a
-    negligible drag gives about 0.01 m/s^2, no more than slow turbulence, so wind and turbulence could not be
-    distinguished.
+
+def contradicted_effects(fitter: Fitter[F], fit: F) -> frozenset[str]:
+    """Return the effects of the set that the data contradicts.
+
+    An effect must exceed its spike and be off its bounds: an effect at a bound explains something else. If
+    it acts through another effect, that one must be large enough. Wind that acts through a negligible drag
+    gives about 0.01 m/s^2, no more than slow turbulence, so wind and turbulence could not be distinguished.
     """
     space, at_bound = fitter.space, fitter.space.at_bound(fit.theta_scaled)
-    if any(at_bound[i] for name in fit.effects for i in space.groups[name]):
-        return False
     size = sizes(fitter, fit)
     carriers = {name for name in fit.effects if size[name] > RULES.carrier_spikes}
-    required = (space.effect(name).requires_any for name in fit.effects)
-    return all(spikes > RULES.present_spikes for spikes in size.values()) and all(
-        not any_of or carriers & set(any_of) for any_of in required
+
+    def lacks_carrier(name: str) -> bool:
+        any_of = space.effect(name).requires_any
+        return bool(any_of) and carriers.isdisjoint(any_of)
+
+    return frozenset(
+        name
+        for name in fit.effects
+        if size[name] <= RULES.present_spikes
+        or any(at_bound[i] for i in space.groups[name])
+        or lacks_carrier(name)
     )
 
 

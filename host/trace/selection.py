@@ -394,7 +394,7 @@ def without_artefacts_of_memory(
     if not swinging:
         return result
     residual = repeatability_of(fitter.loop, selected.theta_scaled, fitter.order, repeat_flights)
-    tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
+    tie_nats, share = RULES.tie_nats, RULES.least_gain_beside_memory / selected.whitening.temper
     if residual is not None:
         without = max(nats for names, nats in result.log_evidence.items() if swinging.isdisjoint(names))
         of_form = RULES.memory_form_share * max(selected.log_evidence - without, 0.0)

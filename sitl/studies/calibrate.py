@@ -142,13 +142,13 @@ def calibrated(scores: Sequence[Mapping[str, float]], seed: int) -> dict[str, di
 
 
 def rules_of(table: np.ndarray) -> np.ndarray:
-    """Return flight_repeat_chance, temper and min_widening from the worlds' numbers (worlds, 3).
+    """Return the rules (6,) of `rules_in_force` from the worlds' numbers (worlds, 6).
 
-    The share is the 95 % quantile over worlds, so that chance exceeds it in one world in twenty. The temper
-    is a mean power. The widening is a root mean square.
+    The share is the 95 % quantile over worlds, so that chance exceeds it in one world in twenty. The tempers
+    are mean powers. The widening is a root mean square.
     """
-    share, power, error = table.T
-    return np.array([np.quantile(share, 0.95), power.mean(), np.sqrt(error.mean())])
+    share, *powers, error = table.T
+    return np.array([np.quantile(share, 0.95), *np.mean(powers, axis=1), np.sqrt(error.mean())])
 
 
 def _cells(name: str, row: Mapping[str, float]) -> dict[str, str]:

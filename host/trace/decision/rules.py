@@ -46,8 +46,9 @@ class Rules:
     worth_fitting_nats: float = _rule(
         12.0,
         "nats",
-        "A set with one effect fewer is not fitted if the screening puts it farther than this below the "
-        "best. A start value of an effect is used only if it gains more than this.",
+        "A set with one effect fewer, or with an alias in place of an effect, is not fitted if the screening "
+        "puts it farther than this below the best. A start value of an effect is used only if it gains more "
+        "than this.",
     )
     hopeless_nats: float = _rule(
         30.0,
@@ -239,11 +240,12 @@ class Rules:
     )
 
     # Uncertainty.
-    temper: float = _rule(
-        2.0,
+    temper: tuple[float, ...] = _rule(
+        (4.4, 2.4, 2.2, 2.0),
         "1",
         "Information of whitened residuals is divided by this, since they stay correlated beyond the windows "
-        "of the autoregression (`whitening.WINDOWS`).",
+        "of the autoregression (`whitening.WINDOWS`): for orders 1, 2, 3 and 4. Few flights determine a low "
+        "order only.",
         MEASURED,
     )
     min_widening: float = _rule(

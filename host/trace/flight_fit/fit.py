@@ -19,7 +19,6 @@ from typing import Annotated
 import numpy as np
 
 from trimtab.host.trace import evidence
-from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.evidence import Prior
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, Slopes
 from trimtab.host.trace.flight_fit.whitening import (
@@ -185,7 +184,7 @@ def _log_evidence(
 ) -> float:
     """Return the log evidence of the set `effects` in the linearisation at theta_scaled."""
     count = sum(len(usable_bins(k, span_of(order))) for k in loop.known)
-    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / RULES.temper
+    log_det = count * float(np.linalg.slogdet(white.innovation)[1]) / white.temper
     prior, limits = prior_of(loop.space), loop.space.bounds
     return evidence.log_evidences(grams.sum(0), log_det, theta_scaled, prior, [effects], limits)[0]
 
@@ -212,7 +211,7 @@ def _linear_step(
         return regressors(r, loop.recordings[index].known, order)
 
     white = autoregression(loop.each(regressors_of))
-    grams = whitened_grams(white, loop, base, slopes) / RULES.temper + _of_rotors(loop, theta_scaled)
+    grams = whitened_grams(white, loop, base, slopes) / white.temper + _of_rotors(loop, theta_scaled)
     step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled, precision, loop.space.bounds)
     return step, covariance, white, grams
 
@@ -263,7 +262,7 @@ def _line_search(
     def costs(points: np.ndarray, whole: Sequence[np.ndarray]) -> np.ndarray:
         known = loop.known
         squares = loop.each(lambda index: (whitened(white, whole[index], known[index]) ** 2).sum(1))
-        cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / RULES.temper
+        cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / white.temper
         return cost if loop.speeds is None else cost + loop.speeds.squares(points)
 
     def along(shares: Sequence[float]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
@@ -303,7 +302,7 @@ def fit_with_whitening(
 ]:
     """Fit `effects` with a given whitening; return the estimate, its covariance, the Grams and their point.
 
-    All are scaled. The Grams of the whitened [residual | slopes] are divided by RULES.temper, since the
+    All are scaled. The Grams of the whitened [residual | slopes] are divided by `white.temper`, since the
     innovations stay correlated over about a second (see `whitening`).
 
     Parameters
@@ -327,7 +326,7 @@ def fit_with_whitening(
         base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
         afresh = turn == 1 or (turn == 0 and not loop.knows_slopes(theta_scaled))
         slopes = loop.slopes(theta_scaled, effects, base, afresh=afresh)
-        grams = whitened_grams(white, loop, base, slopes) / RULES.temper + _of_rotors(loop, theta_scaled)
+        grams = whitened_grams(white, loop, base, slopes) / white.temper + _of_rotors(loop, theta_scaled)
         grams = flight_weight * grams
         deviation = theta_scaled - centre
         limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)

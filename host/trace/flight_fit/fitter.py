@@ -106,7 +106,7 @@ class FlightFitter:
         def gram_of(index: int, r: np.ndarray) -> np.ndarray:
             columns = np.concatenate([base[index][None], slopes[index], base[index] - r])
             white = whitened(fit.whitening, columns, self.loop.recordings[index].known)
-            return white @ white.T / RULES.temper
+            return white @ white.T / fit.whitening.temper
 
         gram = np.sum(self.loop.with_residuals(points, gram_of), axis=0)
         others = [i for i in range(len(fit.theta_scaled)) if i not in columns]

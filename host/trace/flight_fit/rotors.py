@@ -75,7 +75,7 @@ class RotorSpeeds:
     def grams(
         self, theta_scaled: Annotated[np.ndarray, "parameters"]
     ) -> Annotated[np.ndarray, "flights columns columns"]:
-        """Return the Grams of the whitened [residual | slopes] of each flight, divided by RULES.temper."""
+        """Return the Grams of the whitened [residual | slopes] of each flight, over RULES.temper[-1]."""
         if self._at is None or np.abs(theta_scaled - self._at)[self._columns].max() > _FAR:
             self._linearise(theta_scaled)
         assert self._at is not None
@@ -86,7 +86,7 @@ class RotorSpeeds:
     def squares(
         self, theta_scaled: Annotated[np.ndarray, "parameters lanes"]
     ) -> Annotated[np.ndarray, "lanes"]:
-        """Return the whitened squares of all flights at each lane, of full roll-outs, over RULES.temper."""
+        """Return the whitened squares of all flights at each lane, of full roll-outs, over the same."""
         coefficients, sigma = self._whitening_from(theta_scaled[:, 0])
         total = np.zeros(theta_scaled.shape[1])
         for flight in self._flights:
@@ -96,7 +96,7 @@ class RotorSpeeds:
                 columns = np.where(flight.known[:, None], flight.measured - rolled, 0.0)[None]
                 left = _without_nuisances(columns, *self._where_known(flight, rolled, rate))
                 total[lane] += np.square(_whitened(left, coefficients, sigma)).sum()
-        return total / RULES.temper
+        return total / RULES.temper[-1]
 
     def _linearise(self, theta_scaled: np.ndarray) -> None:
         """Compute the Grams anew."""
@@ -106,7 +106,7 @@ class RotorSpeeds:
         rows = np.concatenate([[0], 1 + self._columns])
         for index, columns in self._residuals_and_slopes(theta_scaled):
             white = _whitened(columns, coefficients, sigma)
-            self._grams[index][np.ix_(rows, rows)] = white @ white.T / RULES.temper
+            self._grams[index][np.ix_(rows, rows)] = white @ white.T / RULES.temper[-1]
         self._at = theta_scaled.copy()
 
     def _whitening_from(self, theta_scaled: np.ndarray) -> tuple[np.ndarray, float]:

@@ -53,6 +53,11 @@ class Whitening:
         return len(self.coefficients) // CHANNELS
 
     @property
+    def temper(self) -> float:
+        """By what the information of the innovations is divided, since they are not quite white."""
+        return RULES.temper[self.order - 1]
+
+    @property
     def span(self) -> int:
         """Number of earlier bins that a prediction uses."""
         return span_of(self.order)

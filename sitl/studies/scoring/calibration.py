@@ -31,15 +31,19 @@ class Measured(NamedTuple):
     ----------
     repeat_share
         Lower bound of the power that repeats between flights, over turbulence and noise.
-    slope_power
-        Mean power of differences of repeat flights along the whitened slopes; 1 for white innovations.
+    slope_power_1, slope_power_2, slope_power_3, slope_power_4
+        Mean power of differences of repeat flights along the slopes, whitened by an autoregression of that
+        order, or of the greatest one that the flights determine. 1 for white innovations.
     error_power
         Mean square error of the estimates over the reported variance, from chance and model error together.
         Only estimates that depend on the data more than on their prior count.
     """
 
     repeat_share: float
-    slope_power: float
+    slope_power_1: float
+    slope_power_2: float
+    slope_power_3: float
+    slope_power_4: float
     error_power: float
 
 
@@ -47,7 +51,7 @@ def rules_in_force() -> dict[str, float]:
     """Return the measured rules, in the order of `Measured`."""
     return {
         "flight_repeat_chance": RULES.flight_repeat_chance,
-        "temper": RULES.temper,
+        **{f"temper, order {order}": value for order, value in enumerate(RULES.temper, 1)},
         "min_widening": RULES.min_widening,
     }
 
@@ -63,18 +67,18 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     order = order_of(loop)
     theta_scaled = fit_closed_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
     repeats = repeatability_of(loop, theta_scaled, order, logs.repeat_flights)
-    white = turbulence(loop, theta_scaled, order, logs.repeat_flights)
-    if repeats is None or white is None:
+    orders = range(1, len(RULES.temper) + 1)
+    whites = [turbulence(loop, theta_scaled, each, logs.repeat_flights) for each in orders]
+    if repeats is None or None in whites:
         raise ValueError("no reference was flown twice")
     residuals = [each[0] for each in loop.residuals(theta_scaled[:, None])]
     slopes = loop.slopes(theta_scaled, (), residuals, afresh=True)
     true = deviations_scaled(chosen, deviations)
-    grams = whitened_grams(white, loop, residuals, slopes) / RULES.temper
-    return Measured(
-        repeat_share=repeats.lower_share(RULES),
-        slope_power=_slope_power(loop, white, residuals, slopes, logs.repeat_flights),
-        error_power=_error_power(chosen, grams.sum(0), theta_scaled, true),
-    )
+    powers = [_slope_power(loop, white, residuals, slopes, logs.repeat_flights) for white in whites]
+    white = whites[order - 1]
+    grams = whitened_grams(white, loop, residuals, slopes) / white.temper
+    error_power = _error_power(chosen, grams.sum(0), theta_scaled, true)
+    return Measured(repeats.lower_share(RULES), *powers, error_power)
 
 
 def _slope_power(

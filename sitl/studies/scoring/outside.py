@@ -11,7 +11,6 @@ from trimtab.host.log import Flight
 from trimtab.host.trace import evidence
 from trimtab.host.trace.data.logs import repeat_flights_of
 from trimtab.host.trace.data.signals import FlightData
-from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.flight_fit.fit import prior_of
 from trimtab.host.trace.flight_fit.loop import ClosedLoop, closed_loop, order_of
 from trimtab.host.trace.flight_fit.repeatability import turbulence
@@ -65,7 +64,7 @@ def outside_sigma(
     white = turbulence(flown, centre, order_of(flown), repeat_flights_of(flights))
     if white is None:
         raise ValueError("there are no repeat flights, so turbulence cannot be distinguished from physics")
-    difference = _Difference(loop, without, white, centre, weight=len(flights) / len(still) / RULES.temper)
+    difference = _Difference(loop, without, white, centre, weight=len(flights) / len(still) / white.temper)
     names: tuple[str, ...] = ()
     theta_scaled, least = centre, np.inf
     while True:

@@ -52,7 +52,7 @@ from trimtab.host.trace.selection import (
 )
 
 BELOW, ABOVE = 1 - 1e-6, 1 + 1e-6
-TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper
+TIE_NATS, FAULT = RULES.tie_nats, RULES.least_gain_beside_memory / RULES.temper[0]
 SHARE = RULES.unsupported_share
 OTHER = VEHICLE.replace(mass_kg=0.8)
 WEIGHED = 0.005

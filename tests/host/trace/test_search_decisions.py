@@ -326,15 +326,25 @@ def test_an_alias_with_a_form_is_fitted_if_only_its_form_may_decide(
     assert underrated(("wind",), screened, gained) == expected
 
 
+@pytest.mark.parametrize(("behind", "expected"), [(WORTH * BELOW, [("wind",)]), (WORTH * ABOVE, [])])
+def test_an_alias_without_form_is_fitted_if_the_screening_puts_it_near(
+    behind: float, expected: list[Names]
+) -> None:
+    screened = {("drag",): 3.0, ("wind",): 3.0 - behind}
+    assert underrated(("drag",), screened, 2000.0) == expected
+
+
 @pytest.mark.parametrize(
     ("selected", "expected"),
     [
         pytest.param((), [], id="nothing-to-replace"),
-        pytest.param(("wind",), [(), ("drag",)], id="in-its-place"),
-        pytest.param(("lag", "wind"), [("drag", "lag"), ("lag",), ("wind",)], id="beside-the-others"),
+        pytest.param(("wind",), [(), ("drag",), ("gain",)], id="in-its-place"),
+        pytest.param(
+            ("lag", "wind"), [("drag", "lag"), ("gain", "lag"), ("lag",), ("wind",)], id="beside-the-others"
+        ),
         pytest.param(("lag",), [()], id="no-alias"),
-        pytest.param(("drag",), [()], id="an-alias-without-form"),
-        pytest.param(("drag", "wind"), [("drag",), ("wind",)], id="selected-itself"),
+        pytest.param(("drag",), [(), ("wind",)], id="an-alias-without-form"),
+        pytest.param(("drag", "wind"), [("drag",), ("lift", "wind"), ("wind",)], id="selected-itself"),
         pytest.param(
             ("lift", "wind"),
             [("drag",), ("drag", "lift"), ("drag", "wind"), ("wind",)],
@@ -342,7 +352,7 @@ def test_an_alias_with_a_form_is_fitted_if_only_its_form_may_decide(
         ),
     ],
 )
-def test_an_effect_with_a_form_takes_the_place_of_its_aliases_and_each_effect_is_left_out(
+def test_an_effect_takes_the_place_of_its_aliases_and_each_effect_is_left_out(
     selected: Names, expected: list[Names]
 ) -> None:
     every: list[Names] = [
@@ -374,6 +384,15 @@ class AnotherMinimum(KnownEvidence):
         return replace(fit, log_evidence=fit.log_evidence - 40.0) if far else fit
 
 
+class LagAtItsBounds(KnownEvidence):
+    """Fitter that finds the lag at its bounds."""
+
+    def fit(self, effects: Sequence[str], start: FlightFit) -> FlightFit:
+        fit = super().fit(effects, start)
+        bound = np.isin(np.arange(len(self.space.columns)), self.space.groups["lag"]) * 1e6
+        return replace(fit, theta_scaled=np.where(fit.theta_scaled > 0.0, fit.theta_scaled + bound, 0.0))
+
+
 @pytest.mark.parametrize(
     ("best", "expected"),
     [
@@ -395,6 +414,29 @@ def test_search_fits_no_set_twice_from_the_same_start() -> None:
     assert searched(fitter).selected.effects == ("lag", "wind")
     assert len(fitter.starts) > len(fitted) - 1
     assert len(set(fitter.starts)) == len(fitter.starts)
+
+
+def test_search_keeps_an_alias_that_the_linearisation_underrates() -> None:
+    """It was fitted only beside a lag at its bounds, so no supported fit held it."""
+    fitted = {(): 0.0, ("wind",): 90.0, ("gain", "lag"): 91.0, ("gain",): 89.0}
+    screened = {(): 0.0, ("gain", "lag"): 95.0, ("wind",): 90.0, ("gain",): 90.0 - WORTH * BELOW}
+    fitter = LagAtItsBounds(FORMED, (0.1,) * len(FORMED.columns), fitted, screened)
+    result = searched(fitter)
+    assert ("gain", "lag") in fitter.calls
+    assert result.selected.effects == ("wind",)
+    assert result.inclusion_probability["gain"] == pytest.approx(1.0 / (1.0 + np.e), abs=1e-3)
+
+
+def test_search_does_not_drop_an_effect_for_another_one_of_its_set() -> None:
+    """The lift was fitted only beside a lag at its bounds. Alone, the linearisation puts it near the wind."""
+    fitted = {(): 0.0, ("lag", "wind"): 92.0, ("lag", "lift"): 91.0, ("wind",): 90.0}
+    screened = {(): 0.0, ("lag", "wind"): 96.0, ("lag", "lift"): 95.0, ("wind",): 90.0, ("lift",): 88.0}
+    fitter = LagAtItsBounds(FORMED, (0.1,) * len(FORMED.columns), fitted, screened)
+    result = searched(fitter)
+    assert ("lag", "lift") in fitter.calls
+    assert result.selected.effects == ("wind",)
+    assert result.inclusion_probability["lift"] == pytest.approx(1.0 / (1.0 + np.exp(2.0)), abs=1e-3)
+    assert result.inclusion_probability["lag"] == 0.0
 
 
 def test_search_finds_an_effect_that_the_screening_underrates_for_lack_of_its_form() -> None:

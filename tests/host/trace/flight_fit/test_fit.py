@@ -99,7 +99,7 @@ def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace
     added = ("motor-lag", *others)
     grown = score([tuple(sorted((*PRESENT[::2], name))) for name in added])
     assert added[int(np.argmax(grown))] == "motor-lag"
-    assert fit.log_evidence - without.log_evidence > 3.0 / RULES.temper
+    assert fit.log_evidence - without.log_evidence > 3.0 / fit.whitening.temper
 
 
 def test_parameters_of_simulated_flights_lie_within_their_intervals(
@@ -224,7 +224,7 @@ def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
     noise = [r[0] for r in made.residuals(there[:, None])]
     regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
     white = whitening.autoregression(regressors)
-    gram = refine.whitened_grams(white, made, base, made.slopes(neutral, (), base)).sum(0) / RULES.temper
+    gram = refine.whitened_grams(white, made, base, made.slopes(neutral, (), base)).sum(0) / white.temper
     gram[0, 1:] *= overshoot
     gram[1:, 0] *= overshoot
     tried: list[int] = []
@@ -299,7 +299,7 @@ def test_fit_counts_tempered_information_in_estimate_and_evidence(
     fit = refine.fit_closed_loop(made, ("quadratic-drag",), np.zeros(len(library.columns)), order)
     base = [r[0] for r in made.residuals(fit.at[:, None])]
     slopes = made.slopes(fit.at, fit.effects, base)
-    grams = refine.whitened_grams(fit.whitening, made, base, slopes) / RULES.temper
+    grams = refine.whitened_grams(fit.whitening, made, base, slopes) / fit.whitening.temper
     np.testing.assert_allclose(fit.grams, grams, rtol=1e-6, atol=1e-9 * np.abs(grams).max())
     prior = refine.prior_of(library)
     total = fit.grams.sum(0)[1:, 1:] + np.diag(prior.precision(fit.effects))
@@ -307,7 +307,7 @@ def test_fit_counts_tempered_information_in_estimate_and_evidence(
     free = ~library.at_bound(fit.theta_scaled)
     np.testing.assert_allclose(np.diag(fit.covariance)[free], variance[free], rtol=1e-3)
     bins = sum(len(whitening.usable_bins(known, whitening.span_of(order))) for known in made.known)
-    log_det = bins * np.linalg.slogdet(fit.whitening.innovation)[1] / RULES.temper
+    log_det = bins * np.linalg.slogdet(fit.whitening.innovation)[1] / fit.whitening.temper
     (nats,) = evidence.log_evidences(grams.sum(0), log_det, fit.at, prior, [fit.effects], library.bounds)
     assert fit.log_evidence == pytest.approx(nats, rel=1e-6)
 
