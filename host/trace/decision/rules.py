@@ -241,7 +241,7 @@ class Rules:
 
     # Uncertainty.
     temper: tuple[float, ...] = _rule(
-        (4.4, 2.4, 2.2, 2.0),
+        (4.4, 2.7, 2.6, 2.0),
         "1",
         "Information of whitened residuals is divided by this, since they stay correlated beyond the windows "
         "of the autoregression (`whitening.WINDOWS`): for orders 1, 2, 3 and 4. Few flights determine a low "

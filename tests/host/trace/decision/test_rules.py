@@ -73,7 +73,7 @@ EXPECTED: Mapping[str, float | tuple[float, ...]] = {
     "excess_force_m_s2": 0.5,
     "excess_torque_rad_s2": 3.0,
     # Uncertainty.
-    "temper": (4.4, 2.4, 2.2, 2.0),
+    "temper": (4.4, 2.7, 2.6, 2.0),
     "min_widening": 1.44,
     "min_widening_flights": 8.0,
     "widening_prior_flights": 7.0,
