@@ -395,7 +395,8 @@ def test_study_prints_what_the_page_says() -> None:
     scores[0]["baselines"] = {"network": {"names": None, "first_right": None, "exact": None, "after_m": 0.1}}
     for score in scores[1:]:
         score["baselines"] = None
-    told = {"study": "blind", "seed": 1, "worlds": 4, "plant": None, "folder": "f", "report": "f/report.html"}
+    told = {"study": "blind", "seed": 1, "worlds": 4, "first": None, "plant": None}
+    told |= {"folder": "f", "report": "f/report.html"}
     told |= {"secret": None, "secret_sha256": None}
     group = Group(name="g", logs=("a.mcap",), hold_out=("b.mcap",))
     refused = {"answer": {}, "errors": "", "exit_code": 2, "trace_s": 1.0}
