@@ -68,8 +68,9 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     theta_scaled = fit_closed_loop(loop, (), np.zeros(len(chosen.columns)), order).theta_scaled
     repeats = repeatability_of(loop, theta_scaled, order, logs.repeat_flights)
     orders = range(1, len(RULES.temper) + 1)
-    whites = [turbulence(loop, theta_scaled, each, logs.repeat_flights) for each in orders]
-    if repeats is None or None in whites:
+    found = (turbulence(loop, theta_scaled, each, logs.repeat_flights) for each in orders)
+    whites = [white for white in found if white is not None]
+    if repeats is None or not whites:
         raise ValueError("no reference was flown twice")
     residuals = [each[0] for each in loop.residuals(theta_scaled[:, None])]
     slopes = loop.slopes(theta_scaled, (), residuals, afresh=True)
@@ -77,8 +78,14 @@ def measure(paths: Sequence[Path], vehicle: Vehicle, deviations: Mapping[str, fl
     powers = [_slope_power(loop, white, residuals, slopes, logs.repeat_flights) for white in whites]
     white = whites[order - 1]
     grams = whitened_grams(white, loop, residuals, slopes) / white.temper
-    error_power = _error_power(chosen, grams.sum(0), theta_scaled, true)
-    return Measured(repeats.lower_share(RULES), *powers, error_power)
+    return Measured(
+        repeat_share=repeats.lower_share(RULES),
+        slope_power_1=powers[0],
+        slope_power_2=powers[1],
+        slope_power_3=powers[2],
+        slope_power_4=powers[3],
+        error_power=_error_power(chosen, grams.sum(0), theta_scaled, true),
+    )
 
 
 def _slope_power(
