@@ -17,6 +17,7 @@ from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
 from trimtab.host.base.shards import CONFIG, PIECES, Shard, ShardDone
+from trimtab.host.base.workers import end_with_parent
 
 OnProgress = Callable[[float, float, str], None]
 """Called with the work done, the total, and a detail text."""
@@ -87,7 +88,8 @@ def run_pieces(
     on_progress(done, total, "")
     if waiting:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        spawn = multiprocessing.get_context("spawn")
+        with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=end_with_parent) as pool:
             running = {
                 pool.submit(_write_result, work, piece, str(folder)): piece
                 for piece in sorted(waiting, key=lambda piece: -piece.weight)

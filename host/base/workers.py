@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
 import signal
+import threading
 from collections.abc import Callable, Iterator
 from concurrent.futures import Executor, Future, ProcessPoolExecutor
 from contextlib import contextmanager
+from multiprocessing.connection import wait
 from typing import Any
 
 
@@ -20,7 +23,7 @@ def workers(jobs: int) -> Iterator[Executor]:
         yield _Here()
         return
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_leave_interrupts_to_parent)
+    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_serve_parent)
     try:
         yield pool
     finally:
@@ -39,6 +42,21 @@ class _Here(Executor):
         return future
 
 
-def _leave_interrupts_to_parent() -> None:
-    """Ignore Ctrl-C, which the terminal sends to every process of the command."""
+def _serve_parent() -> None:
+    """Leave Ctrl-C, which the terminal sends to every process of the command, to the parent; end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    end_with_parent()
+
+
+def end_with_parent() -> None:
+    """End this process when the one that started it ends, even if that one is killed."""
+    parent = multiprocessing.parent_process()
+    if parent is None:
+        return
+    sentinel = parent.sentinel
+
+    def watch() -> None:
+        wait([sentinel])
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()

@@ -7,12 +7,9 @@ process writes the ledger; worker processes do the rest.
 from __future__ import annotations
 
 import multiprocessing
-import os
-import threading
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from dataclasses import dataclass
-from multiprocessing.connection import wait as wait_for_any
 from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
@@ -21,6 +18,7 @@ from trimtab.host.base.artefacts import CHANGED, git_state, version
 from trimtab.host.base.output import say
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.base.shards import Shard, ShardDone
+from trimtab.host.base.workers import end_with_parent
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
@@ -237,7 +235,7 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, on_progress: OnProgress)
     to_fly.reverse()
     running: dict[Future[Any], tuple[Task, bool]] = {}
     spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=spawn, initializer=_end_with_parent)
+    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=spawn, initializer=end_with_parent)
     try:
         while to_fly or to_judge or running:
             while len(running) < jobs and (to_fly or to_judge):
@@ -285,17 +283,3 @@ def _scores(task: Task) -> dict[str, Any]:
     others = task.folder / BASELINES
     available = task.with_baselines and others.is_file()
     return {**read_json(task.folder / SCORE), "baselines": read_json(others) if available else None}
-
-
-def _end_with_parent() -> None:
-    """End this process when the one that started it ends."""
-    parent = multiprocessing.parent_process()
-    if parent is None:
-        return
-    sentinel = parent.sentinel
-
-    def watch() -> None:
-        wait_for_any([sentinel])
-        os._exit(1)
-
-    threading.Thread(target=watch, daemon=True).start()
