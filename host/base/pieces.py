@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import fcntl
 import json
-import multiprocessing
 import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import as_completed
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,7 +16,7 @@ from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
 from trimtab.host.base.shards import CONFIG, PIECES, Shard, ShardDone
-from trimtab.host.base.workers import end_with_parent
+from trimtab.host.base.workers import process_pool
 
 OnProgress = Callable[[float, float, str], None]
 """Called with the work done, the total, and a detail text."""
@@ -88,8 +87,7 @@ def run_pieces(
     on_progress(done, total, "")
     if waiting:
         os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-        spawn = multiprocessing.get_context("spawn")
-        with ProcessPoolExecutor(jobs, mp_context=spawn, initializer=end_with_parent) as pool:
+        with process_pool(jobs) as pool:
             running = {
                 pool.submit(_write_result, work, piece, str(folder)): piece
                 for piece in sorted(waiting, key=lambda piece: -piece.weight)

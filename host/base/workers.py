@@ -22,8 +22,7 @@ def workers(jobs: int) -> Iterator[Executor]:
     if jobs == 1:
         yield _Here()
         return
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(jobs, mp_context=spawn, initializer=_serve_parent)
+    pool = process_pool(jobs, _serve_parent)
     try:
         yield pool
     finally:
@@ -42,13 +41,22 @@ class _Here(Executor):
         return future
 
 
+def process_pool(jobs: int, initializer: Callable[[], None] | None = None) -> ProcessPoolExecutor:
+    """Return a pool of new processes that end with this one.
+
+    initializer: what each process calls first, instead of `_end_with_parent`.
+    """
+    spawn = multiprocessing.get_context("spawn")
+    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=initializer or _end_with_parent)
+
+
 def _serve_parent() -> None:
     """Leave Ctrl-C, which the terminal sends to every process of the command, to the parent; end with it."""
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    end_with_parent()
+    _end_with_parent()
 
 
-def end_with_parent() -> None:
+def _end_with_parent() -> None:
     """End this process when the one that started it ends, even if that one is killed."""
     parent = multiprocessing.parent_process()
     if parent is None:

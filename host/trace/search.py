@@ -195,7 +195,7 @@ def search(
         tried.fit(promising, selected)
         selected, scores = tried.select()
     # Drop all sets with an effect that some fit contradicts and that occurs in no supported fit.
-    contradicted = {name: contradicted_effects(fitter, fit) for name, fit in fits.items()}
+    contradicted = {names: contradicted_effects(fitter, fit) for names, fit in fits.items()}
     supported = {name for names, absent in contradicted.items() if not absent for name in names}
     unsupported = frozenset().union(*contradicted.values()) - supported
     scores = {names: score for names, score in scores.items() if not unsupported & set(names)}
@@ -246,9 +246,9 @@ def _underrated_sets(
         tuple(other for other in selected.effects if other != name): of_form for name in selected.effects
     }
     for name in space.candidates:
-        replaced = [other for other in selected.effects if space.are_aliases(name, other)]
         if name in selected.effects:
             continue
+        replaced = [other for other in selected.effects if space.are_aliases(name, other)]
         for group in {(other,) for other in replaced} | {tuple(replaced)} - {()}:
             names = tuple(sorted({*selected.effects, name} - set(group)))
             margins[names] = of_form if space.forms[name] else RULES.worth_fitting_nats
@@ -330,17 +330,12 @@ def contradicted_effects(fitter: Fitter[F], fit: F) -> frozenset[str]:
     space, at_bound = fitter.space, fitter.space.at_bound(fit.theta_scaled)
     size = sizes(fitter, fit)
     carriers = {name for name in fit.effects if size[name] > RULES.carrier_spikes}
-
-    def lacks_carrier(name: str) -> bool:
-        any_of = space.effect(name).requires_any
-        return bool(any_of) and carriers.isdisjoint(any_of)
-
     return frozenset(
         name
         for name in fit.effects
         if size[name] <= RULES.present_spikes
         or any(at_bound[i] for i in space.groups[name])
-        or lacks_carrier(name)
+        or not space.carried(name, carriers)
     )
 
 

@@ -6,9 +6,8 @@ process writes the ledger; worker processes do the rest.
 
 from __future__ import annotations
 
-import multiprocessing
 from collections.abc import Mapping
-from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
+from concurrent.futures import FIRST_COMPLETED, Future, wait
 from dataclasses import dataclass
 from pathlib import Path
 from tempfile import gettempdir
@@ -18,7 +17,7 @@ from trimtab.host.base.artefacts import CHANGED, git_state, version
 from trimtab.host.base.output import say
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
 from trimtab.host.base.shards import Shard, ShardDone
-from trimtab.host.base.workers import end_with_parent
+from trimtab.host.base.workers import process_pool
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.studies.files import Ledger, StudyError, read_json, sha256_of
 from trimtab.sitl.studies.flights import (
@@ -234,8 +233,7 @@ def _work(tasks: list[Task], ledger: Ledger, jobs: int, on_progress: OnProgress)
         return
     to_fly.reverse()
     running: dict[Future[Any], tuple[Task, bool]] = {}
-    spawn = multiprocessing.get_context("spawn")
-    pool = ProcessPoolExecutor(max_workers=jobs, mp_context=spawn, initializer=end_with_parent)
+    pool = process_pool(jobs)
     try:
         while to_fly or to_judge or running:
             while len(running) < jobs and (to_fly or to_judge):

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import multiprocessing
 import shutil
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated, Any
@@ -14,7 +12,7 @@ from typing import Annotated, Any
 from pydantic import Field, model_validator
 
 from trimtab.host.base.artefacts import git_state, version
-from trimtab.host.base.workers import end_with_parent
+from trimtab.host.base.workers import process_pool
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 from trimtab.sitl.studies.commandline import Answer, run_apart
 from trimtab.sitl.studies.files import StudyError, read_json, sha256_of, write_json
@@ -119,9 +117,7 @@ def judge_real(
     with ExitStack() as stack:
         each = map
         if min(jobs, len(groups)) > 1:  # in processes, because each measures the time of its children
-            spawn = multiprocessing.get_context("spawn")
-            pool = ProcessPoolExecutor(min(jobs, len(groups)), mp_context=spawn, initializer=end_with_parent)
-            each = stack.enter_context(pool).map
+            each = stack.enter_context(process_pool(min(jobs, len(groups)))).map
         rows = []
         for group, verdict in zip(groups, each(_verdict, groups, folders), strict=True):
             rows.append(real_row(group, verdict))

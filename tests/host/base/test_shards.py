@@ -26,7 +26,7 @@ def in_this_process(monkeypatch):
             future.set_result(fn(*args, **kwargs))
             return future
 
-    monkeypatch.setattr(pieces_module, "ProcessPoolExecutor", lambda *_, **options: Here())
+    monkeypatch.setattr(pieces_module, "process_pool", lambda jobs: Here())
 
 
 def _square(piece, folder):
