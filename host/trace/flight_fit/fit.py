@@ -44,9 +44,6 @@ _ITERATIONS = 24
 _STALLED_NATS = 0.1
 """A fit also ends if a step gains less and the slopes at its point are known."""
 
-_GIVEN_WHITENING_ITERATIONS = 6
-"""Greatest number of iterations of `fit_with_whitening`."""
-
 _REFIT_SETTLED = 0.1
 """Step, in standard deviations, below which `fit_with_whitening` ends."""
 
@@ -154,9 +151,8 @@ def fit_closed_loop(
         if small and known:
             end, missed_nats = space.clipped(theta_scaled + step), 0.0
             break
-        end, residuals, gain_nats, missed_nats = _line_search(
-            loop, white, precision, theta_scaled, step, base, grams.sum(0)
-        )
+        cost = _Cost(loop=loop, white=white, precision=precision)
+        end, residuals, gain_nats, missed_nats = _line_search(cost, theta_scaled, step, base, grams.sum(0))
         stalled = gain_nats < _STALLED_NATS
         iteration += 1
         if (stalled and own) or iteration == _ITERATIONS:
@@ -241,10 +237,38 @@ def loop_discrepancy(space: ParameterSpace) -> Annotated[np.ndarray, "parameters
     return np.array([column.loop_discrepancy for column in space.columns])
 
 
+@dataclass(frozen=True, kw_only=True)
+class _Cost:
+    """Cost of scaled parameters: twice the negative log posterior in nats, up to a constant.
+
+    precision, centre: of the prior. flight_weight: weight of each flight.
+    """
+
+    loop: ClosedLoop
+    white: Whitening
+    precision: Annotated[np.ndarray, "parameters"]
+    centre: Annotated[np.ndarray, "parameters"] | float = 0.0
+    flight_weight: float = 1.0
+
+    def at(
+        self, points: Annotated[np.ndarray, "parameters points"], whole: Sequence[np.ndarray]
+    ) -> Annotated[np.ndarray, "points"]:
+        """Return the cost of each point. whole: residuals (points, bins, 12) of each flight."""
+        loop = self.loop
+        squares = loop.each(lambda i: (whitened(self.white, whole[i], loop.known[i]) ** 2).sum(1))
+        from_centre = (points.T - self.centre).T
+        cost = (self.precision[:, None] * from_centre**2).sum(0)
+        cost = cost + self.flight_weight * np.sum(squares, axis=0) / self.white.temper
+        return cost if loop.speeds is None else cost + self.flight_weight * loop.speeds.squares(points)
+
+    def decrease_nats(self, theta_scaled: np.ndarray, step: np.ndarray, gram: np.ndarray) -> float:
+        """Return what the linearisation at theta_scaled promises that `step` gains, in nats."""
+        downhill = gram[0, 1:] - self.precision * (theta_scaled - self.centre)
+        return float(downhill @ step - 0.5 * (step @ gram[1:, 1:] @ step + self.precision @ step**2))
+
+
 def _line_search(
-    loop: ClosedLoop,
-    white: Whitening,
-    precision: np.ndarray,
+    cost: _Cost,
     theta_scaled: np.ndarray,
     step: np.ndarray,
     base: Sequence[np.ndarray],
@@ -256,33 +280,28 @@ def _line_search(
 
     The first candidate is the whole step. If it gains less than _ENOUGH of what the linearisation promises,
     the candidates are theta_scaled itself, and theta_scaled plus the shares _LINE of `step`. base:
-    residual (bins, 12) of each flight at theta_scaled. gram: of the whitened [residual | slopes].
+    residual (bins, 12) of each flight at theta_scaled. gram: of the whitened [residual | slopes], with the
+    weight of the flights.
     """
-
-    def costs(points: np.ndarray, whole: Sequence[np.ndarray]) -> np.ndarray:
-        known = loop.known
-        squares = loop.each(lambda index: (whitened(white, whole[index], known[index]) ** 2).sum(1))
-        cost = (precision[:, None] * points**2).sum(0) + np.sum(squares, axis=0) / white.temper
-        return cost if loop.speeds is None else cost + loop.speeds.squares(points)
+    loop = cost.loop
 
     def along(shares: Sequence[float]) -> tuple[np.ndarray, list[np.ndarray], np.ndarray]:
         """Return the points at these shares of the step, the residuals there, and the costs."""
         points = np.column_stack([loop.space.clipped(theta_scaled + share * step) for share in shares])
         residuals = loop.residuals(points)
-        return points, residuals, costs(points, residuals)
+        return points, residuals, cost.at(points, residuals)
 
-    downhill = gram[0, 1:] - precision * theta_scaled
-    promised_nats = float(downhill @ step - 0.5 * (step @ gram[1:, 1:] @ step + precision @ step**2))
-    points, residuals, cost = along((1.0,))
-    start = costs(theta_scaled[:, None], [r[None] for r in base])[0]
-    if not start - cost[0] > _ENOUGH * 2.0 * promised_nats:
-        more, more_residuals, more_cost = along(_LINE)
-        points, cost = np.column_stack([points, more]), np.concatenate([cost, more_cost])
+    promised_nats = cost.decrease_nats(theta_scaled, step, gram)
+    points, residuals, costs = along((1.0,))
+    start = cost.at(theta_scaled[:, None], [r[None] for r in base])[0]
+    if not start - costs[0] > _ENOUGH * 2.0 * promised_nats:
+        more, more_residuals, more_costs = along(_LINE)
+        points, costs = np.column_stack([points, more]), np.concatenate([costs, more_costs])
         residuals = [np.concatenate(pair) for pair in zip(residuals, more_residuals, strict=True)]
-    best = int(np.argmin(np.where(np.isfinite(cost), cost, np.inf)))
-    if not cost[best] < start:
+    best = int(np.argmin(np.where(np.isfinite(costs), costs, np.inf)))
+    if not costs[best] < start:
         return theta_scaled, list(base), 0.0, promised_nats
-    gain_nats = 0.5 * float(start - cost[best])
+    gain_nats = 0.5 * float(start - costs[best])
     return points[:, best], [r[best].copy() for r in residuals], gain_nats, promised_nats - gain_nats
 
 
@@ -302,8 +321,9 @@ def fit_with_whitening(
 ]:
     """Fit `effects` with a given whitening; return the estimate, its covariance, the Grams and their point.
 
-    All are scaled. The Grams of the whitened [residual | slopes] are divided by `white.temper`, since the
-    innovations stay correlated over about a second (see `whitening`).
+    The fit is by Gauss-Newton with a line search, so its cost never rises. All are scaled. The Grams of the
+    whitened [residual | slopes] are divided by `white.temper`, since the innovations stay correlated over
+    about a second (see `whitening`).
 
     Parameters
     ----------
@@ -321,18 +341,20 @@ def fit_with_whitening(
         Weight of each flight.
     """
     precision = prior_of(loop.space).precision(effects)
-    turn = 0
+    cost = _Cost(loop=loop, white=white, precision=precision, centre=centre, flight_weight=flight_weight)
+    limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
+    base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
+    iteration, afresh = 0, not loop.knows_slopes(theta_scaled)
     while True:
-        base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
-        afresh = turn == 1 or (turn == 0 and not loop.knows_slopes(theta_scaled))
         slopes = loop.slopes(theta_scaled, effects, base, afresh=afresh)
         grams = whitened_grams(white, loop, base, slopes) / white.temper + _of_rotors(loop, theta_scaled)
         grams = flight_weight * grams
-        deviation = theta_scaled - centre
-        limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
-        step, covariance = evidence.bounded_step(grams.sum(0), deviation, precision, limits)
-        at, theta_scaled = theta_scaled, loop.space.clipped(theta_scaled + step)
-        turn += 1
-        settled = _deviations(step, covariance) < _REFIT_SETTLED
-        if settled or turn == _GIVEN_WHITENING_ITERATIONS:
-            return theta_scaled, covariance, grams, at
+        step, covariance = evidence.bounded_step(grams.sum(0), theta_scaled - centre, precision, limits)
+        if _deviations(step, covariance) < _REFIT_SETTLED:
+            return loop.space.clipped(theta_scaled + step), covariance, grams, theta_scaled
+        end, residuals, gain_nats, _ = _line_search(cost, theta_scaled, step, base, grams.sum(0))
+        stalled = gain_nats < _STALLED_NATS
+        iteration += 1
+        if (stalled and afresh) or iteration == _ITERATIONS:
+            return end, covariance, grams, theta_scaled
+        theta_scaled, base, afresh = end, residuals, iteration == 1 or stalled

@@ -43,7 +43,6 @@ METHOD_SETTINGS: Mapping[str, Mapping[str, str]] = {
         "LOOP_SETTLED": "step at which the Gauss-Newton iteration ends",
         "_WHITENING_SETTLED": "step at which the whitening of a linear step is not fitted again",
         "_ITERATIONS": "number of Gauss-Newton iterations",
-        "_GIVEN_WHITENING_ITERATIONS": "number of linearisations of a fit with a given whitening",
         "_REFIT_SETTLED": "step at which that fit ends",
         "_LINE": "step lengths of the line search",
         "_STALLED_NATS": "gain of a step with which the iteration ends",

@@ -236,14 +236,44 @@ def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
 
     made.with_residuals = counted  # type: ignore[method-assign]
     step = overshoot * there
-    moved, residuals, gain_nats, missed_nats = refine._line_search(
-        made, white, np.zeros(len(there)), neutral, step, base, gram
-    )
+    cost = refine._Cost(loop=made, white=white, precision=np.zeros(len(there)))
+    moved, residuals, gain_nats, missed_nats = refine._line_search(cost, neutral, step, base, gram)
     np.testing.assert_allclose(moved, share * step)
     assert gain_nats + missed_nats == pytest.approx(overshoot**2 * gain_nats, rel=0.05)
     assert tried == ([1] if share == 1.0 else [1, 3])
     for found, expected in zip(residuals, made.residuals(moved[:, None]), strict=True):
         np.testing.assert_allclose(found, expected[0], atol=1e-12)
+
+
+@pytest.mark.parametrize("about", [0.0, 0.5], ids=["prior-about-zero", "prior-about-the-build"])
+def test_a_fit_with_a_given_whitening_settles_where_the_slope_of_a_form_vanishes(about: float) -> None:
+    """At `fast_share` 0 the flights have no slope along it, so whole steps lead to and fro."""
+    flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "b1")]
+    vehicle, effects = flights[0].vehicle, load_effects()
+    library = space(vehicle, {name: effects[name] for name in ("uneven-lag", "mass")})
+    centre = about * scaled(library, mass__factor=1.02)
+    true = centre + scaled(library, uneven_lag__ratio=3.0, uneven_lag__fast_share=0.0)
+    data = [FlightData.of(each) for each in flights]
+    made = simulated(closed.closed_loop(data, vehicle, library, true), true, 2)
+    noise = [r[0] for r in made.residuals(true[:, None])]
+    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
+    white = whitening.autoregression(regressors)
+    start = centre + scaled(library, uneven_lag__ratio=3.0)
+    found, covariance, _, at = refine.fit_with_whitening(
+        made, white, ("uneven-lag",), start, centre=centre, flight_weight=4.0
+    )
+    again, *_ = refine.fit_with_whitening(
+        made, white, ("uneven-lag",), found, centre=centre, flight_weight=4.0
+    )
+    precision = refine.prior_of(library).precision(("uneven-lag",))
+    cost = refine._Cost(loop=made, white=white, precision=precision, centre=centre, flight_weight=4.0)
+    points = np.column_stack([true, start, at, found, again])
+    of_true, of_start, of_last, of_found, of_again = cost.at(points, made.residuals(points))
+    assert of_found < min(of_true, of_start)
+    assert of_found <= of_last + 0.2
+    assert of_again == pytest.approx(of_found, abs=0.2)
+    sd = np.sqrt(np.diag(covariance))
+    assert np.abs((found - true) / sd).max() < 4.0
 
 
 def test_a_fit_far_below_its_start_keeps_slopes_from_nearby(
