@@ -343,6 +343,7 @@ def fit_with_whitening(
     precision = prior_of(loop.space).precision(effects)
     cost = _Cost(loop=loop, white=white, precision=precision, centre=centre, flight_weight=flight_weight)
     limits = (loop.space.bounds[0] - centre, loop.space.bounds[1] - centre)
+    theta_scaled = loop.space.clipped(theta_scaled)
     base = [r[0] for r in loop.residuals(theta_scaled[:, None])]
     iteration, afresh = 0, not loop.knows_slopes(theta_scaled)
     while True:

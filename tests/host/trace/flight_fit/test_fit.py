@@ -276,6 +276,20 @@ def test_a_fit_with_a_given_whitening_settles_where_the_slope_of_a_form_vanishes
     assert np.abs((found - true) / sd).max() < 4.0
 
 
+def test_a_fit_with_a_given_whitening_starts_within_the_bounds(
+    library: ParameterSpace, loop: ClosedLoop
+) -> None:
+    beyond = scaled(library, motor_lag__extra_s=-1.0)
+    within = library.clipped(beyond)
+    assert not np.array_equal(within, beyond)
+    made = simulated(loop, scaled(library, motor_lag__extra_s=0.01), 3)
+    noise = [r[0] for r in made.residuals(within[:, None])]
+    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
+    white = whitening.autoregression(regressors)
+    fits = [refine.fit_with_whitening(made, white, ("motor-lag",), start) for start in (beyond, within)]
+    np.testing.assert_array_equal(fits[0][0], fits[1][0])
+
+
 def test_a_fit_far_below_its_start_keeps_slopes_from_nearby(
     library: ParameterSpace, loop: ClosedLoop, monkeypatch: pytest.MonkeyPatch
 ) -> None:
