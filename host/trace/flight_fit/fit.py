@@ -321,9 +321,9 @@ def fit_with_whitening(
 ]:
     """Fit `effects` with a given whitening; return the estimate, its covariance, the Grams and their point.
 
-    The fit is by Gauss-Newton with a line search, so its cost never rises. All are scaled. The Grams of the
-    whitened [residual | slopes] are divided by `white.temper`, since the innovations stay correlated over
-    about a second (see `whitening`).
+    The fit is by Gauss-Newton with a line search: only the last step, below _REFIT_SETTLED, is taken without
+    a look at its cost. All are scaled. The Grams of the whitened [residual | slopes] are divided by
+    `white.temper`, since the innovations stay correlated over about a second (see `whitening`).
 
     Parameters
     ----------

@@ -79,6 +79,14 @@ def simulated(loop: ClosedLoop, theta_scaled: np.ndarray, seed: int) -> ClosedLo
     return ClosedLoop(recordings, loop.recordings[0].states.vehicle, loop.space)
 
 
+def whitening_at(loop: ClosedLoop, theta_scaled: np.ndarray) -> whitening.Whitening:
+    """Return the whitening of order 2, fitted to the residuals at theta_scaled."""
+    residuals = [r[0] for r in loop.residuals(theta_scaled[:, None])]
+    return whitening.autoregression(
+        whitening.regressors(r, known, 2) for r, known in zip(residuals, loop.known, strict=True)
+    )
+
+
 def test_shipped_flights_show_the_effects_of_their_world(library: ParameterSpace) -> None:
     flights = [read_flight(DATA / f"{name}.mcap") for name in ("a1", "a2", "b1", "b2")]
     truth = json.loads((DATA / "truth.json").read_text())["effects"]
@@ -221,9 +229,7 @@ def test_line_search_takes_the_best_share_of_a_step_that_gains_too_little(
     there, neutral = scaled(library, linear_drag__dx=0.3), scaled(library)
     made = simulated(loop, there, 2)
     base = [r[0] for r in made.residuals(neutral[:, None])]
-    noise = [r[0] for r in made.residuals(there[:, None])]
-    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
-    white = whitening.autoregression(regressors)
+    white = whitening_at(made, there)
     gram = refine.whitened_grams(white, made, base, made.slopes(neutral, (), base)).sum(0) / white.temper
     gram[0, 1:] *= overshoot
     gram[1:, 0] *= overshoot
@@ -255,9 +261,7 @@ def test_a_fit_with_a_given_whitening_settles_where_the_slope_of_a_form_vanishes
     true = centre + scaled(library, uneven_lag__ratio=3.0, uneven_lag__fast_share=0.0)
     data = [FlightData.of(each) for each in flights]
     made = simulated(closed.closed_loop(data, vehicle, library, true), true, 2)
-    noise = [r[0] for r in made.residuals(true[:, None])]
-    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
-    white = whitening.autoregression(regressors)
+    white = whitening_at(made, true)
     start = centre + scaled(library, uneven_lag__ratio=3.0)
     found, covariance, _, at = refine.fit_with_whitening(
         made, white, ("uneven-lag",), start, centre=centre, flight_weight=4.0
@@ -283,9 +287,7 @@ def test_a_fit_with_a_given_whitening_starts_within_the_bounds(
     within = library.clipped(beyond)
     assert not np.array_equal(within, beyond)
     made = simulated(loop, scaled(library, motor_lag__extra_s=0.01), 3)
-    noise = [r[0] for r in made.residuals(within[:, None])]
-    regressors = [whitening.regressors(r, k, 2) for r, k in zip(noise, made.known, strict=True)]
-    white = whitening.autoregression(regressors)
+    white = whitening_at(made, within)
     fits = [refine.fit_with_whitening(made, white, ("motor-lag",), start) for start in (beyond, within)]
     np.testing.assert_array_equal(fits[0][0], fits[1][0])
 
