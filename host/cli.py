@@ -236,8 +236,6 @@ def main(argv: Sequence[str] | None = None) -> int:
     is_process, outside = argv is None, sys.argv
     words = list(sys.argv[1:] if argv is None else argv)
     sys.argv = [*sys.argv[:1], *words]
-    # For thousands of small matrices, threads are slower, and sums would depend on their number.
-    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     # A plugin of another package must not change how files are checked, and the search for one costs time.
     os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
     # A roll-out that overflows shows in the result, which says so; stderr has one line for each problem.

@@ -23,7 +23,7 @@ settings.load_profile("trimtab")
 
 # One cache of compiled engines and no colour, whatever the machine's own settings are.
 os.environ["NO_COLOR"] = "1"
-# As the command line does; numpy reads it when it is imported.
+# Tests also call what public functions do in one thread; numpy reads it when it is imported.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 
 

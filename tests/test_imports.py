@@ -92,6 +92,7 @@ EDGES: dict[str, tuple[str, ...]] = {
     "rotorpy": ("sitl.studies.plants",),
     "scipy": ("host", "sitl"),
     "serial": ("host.link.ports",),
+    "threadpoolctl": ("host.base.parallel",),
     "zstandard": ("host.log",),
 }
 """Third-party package to the places that may import it; one that is not listed may be imported nowhere."""

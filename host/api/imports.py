@@ -10,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 from trimtab.host.api.load import vehicle_of
 from trimtab.host.base.card import card, table
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.workspace import Workspace, open_workspace
 
 if TYPE_CHECKING:
@@ -183,6 +184,7 @@ class Imported:
         )
 
 
+@one_thread_of_algebra()
 def import_log(  # noqa: PLR0913 (one keyword for each choice)
     path: str | Path,
     log: str | Path,

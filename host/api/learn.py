@@ -101,10 +101,9 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     UsageError, ConfigurationError, EffectError
         If arguments do not go together, or a file cannot be used.
     """
-    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+    from trimtab.host.base.parallel import check_jobs
 
     check_jobs(jobs)
-    one_thread_of_algebra()
     from trimtab.host.base import artefacts
     from trimtab.host.effects import load_effects
     from trimtab.host.learn import learn as learn_model

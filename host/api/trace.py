@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from trimtab.host.api.load import vehicle_of
+from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
 from trimtab.host.workspace import Workspace, open_workspace
 
 if TYPE_CHECKING:
@@ -79,10 +80,7 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     UsageError, ConfigurationError, EffectError
         If a file of the workspace cannot be used.
     """
-    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
-
     check_jobs(jobs)
-    one_thread_of_algebra()
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
     from trimtab.host.effects import load_effects
@@ -107,6 +105,7 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     )
 
 
+@one_thread_of_algebra()
 def write_trace(
     result: Trace,
     folder: str | Path,

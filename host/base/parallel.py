@@ -1,17 +1,22 @@
 """Work on several cores: threads, since compiled code and numpy's large operations release the interpreter.
 
 Every item is computed alone and the results keep the order of the items, so they do not depend on the number
-of threads.
+of threads. Linear algebra keeps to one thread: for thousands of small matrices more are slower, and its sums
+would depend on their number.
 """
 
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterable
-from concurrent.futures import ThreadPoolExecutor
-from typing import TypeVar
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from functools import cache
+from typing import TYPE_CHECKING, TypeVar
 
 from trimtab.host.base.errors import UsageError
+
+if TYPE_CHECKING:
+    from threadpoolctl import threadpool_limits
 
 Item = TypeVar("Item")
 Result = TypeVar("Result")
@@ -37,14 +42,47 @@ def each(work: Callable[[Item], Result], items: Iterable[Item], jobs: int) -> li
     items = list(items)
     if min(jobs, len(items)) <= 1:
         return [work(item) for item in items]
+    from concurrent.futures import ThreadPoolExecutor  # with logging, which no help needs
+
     with ThreadPoolExecutor(min(jobs, len(items))) as pool:
         return list(pool.map(work, items))
 
 
-def one_thread_of_algebra() -> None:
-    """Keep numpy's linear algebra in one thread, so that its sums do not depend on the machine's cores.
+@contextmanager
+def one_thread_of_algebra() -> Iterator[None]:
+    """Keep linear algebra in one thread. A context, and a decorator of functions.
 
-    It has no effect after numpy was imported.
+    It bounds the libraries that are loaded when it begins: numpy's, and those of scipy and CasADi if they
+    were imported. A function that imports one itself does its work in a context of its own. The number of
+    threads belongs to the process, so another thread that does algebra is bounded too, until the context
+    ends.
     """
-    for name in ("OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "OMP_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    with _limited():
+        yield
+
+
+def keep_one_thread_of_algebra() -> None:
+    """Keep linear algebra in one thread from now on. For a process that only works for another one."""
+    import scipy.linalg  # noqa: F401 (its library is then loaded)
+
+    _limited()
+
+
+def _limited() -> threadpool_limits:
+    """Limit the loaded libraries, until the result is used as a context and that ends."""
+    import numpy  # noqa: F401 (its library is then loaded)
+    from threadpoolctl import threadpool_limits
+
+    _know_casadi()
+    return threadpool_limits(1, user_api="blas")
+
+
+@cache
+def _know_casadi() -> None:
+    """Let threadpoolctl know the library that CasADi's solvers bring along, once for each process."""
+    from threadpoolctl import OpenBLASController, register
+
+    class _CasadiController(OpenBLASController):
+        filename_prefixes = ("libcasadi-tp-openblas",)
+
+    register(_CasadiController)

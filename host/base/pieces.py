@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import fcntl
 import json
-import os
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import as_completed
 from contextlib import contextmanager
@@ -86,7 +85,6 @@ def run_pieces(
     done = total - sum(piece.weight for piece in waiting)
     on_progress(done, total, "")
     if waiting:
-        os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
         with process_pool(jobs) as pool:
             running = {
                 pool.submit(_write_result, work, piece, str(folder)): piece

@@ -12,6 +12,8 @@ from contextlib import contextmanager
 from multiprocessing.connection import wait
 from typing import Any
 
+from trimtab.host.base.parallel import keep_one_thread_of_algebra
+
 
 @contextmanager
 def workers(jobs: int) -> Iterator[Executor]:
@@ -44,10 +46,16 @@ class _Here(Executor):
 def process_pool(jobs: int, initializer: Callable[[], None] | None = None) -> ProcessPoolExecutor:
     """Return a pool of new processes that end with this one.
 
-    initializer: what each process calls first, instead of `_end_with_parent`.
+    initializer: what each process calls first, instead of `_work_for_parent`.
     """
     spawn = multiprocessing.get_context("spawn")
-    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=initializer or _end_with_parent)
+    return ProcessPoolExecutor(jobs, mp_context=spawn, initializer=initializer or _work_for_parent)
+
+
+def _work_for_parent() -> None:
+    """End with the parent. Keep linear algebra in one thread: every process works on a core of its own."""
+    _end_with_parent()
+    keep_one_thread_of_algebra()
 
 
 def _serve_parent() -> None:

@@ -9,6 +9,7 @@ from typing import Any
 
 from trimtab.host.base.artefacts import LOG_SUFFIX
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.compare.logs import FlightFigures, LogsComparison, compare_logs, read_figures
 from trimtab.host.compare.models import ModelsComparison, compare_models
 from trimtab.host.compare.plans import PlansComparison, plan_figures
@@ -53,6 +54,7 @@ class Comparison:
         }
 
 
+@one_thread_of_algebra()
 def compare(a: Path, b: Path, space: Workspace) -> Comparison:
     """Compare two logs, models or plans, or two folders, whose artefacts are compared kind by kind.
 

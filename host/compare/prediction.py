@@ -210,6 +210,7 @@ class Prediction:
         }
 
 
+@parallel.one_thread_of_algebra()
 def predict(
     model: Model | None,
     flights: Sequence[Flight],

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from trimtab.firmware_model.law.ops import FLOAT
-from trimtab.host.base.parallel import cores
+from trimtab.host.base.parallel import cores, one_thread_of_algebra
 from trimtab.host.effects import Effect
 from trimtab.host.learn.candidates import Candidate, best, note
 from trimtab.host.learn.condensed import CondensedSettings
@@ -41,6 +41,7 @@ swing as an acceleration, and whole flights have no such swing.
 """
 
 
+@one_thread_of_algebra()
 def learn(  # noqa: PLR0913 (one keyword for each choice)
     flights: Sequence[Flight],
     *,

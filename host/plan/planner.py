@@ -25,6 +25,7 @@ from dataclasses import replace
 from typing import TypedDict, Unpack
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.effects import Effect, load_effects
 from trimtab.host.models.model import Model
 from trimtab.host.plan.box import within_region
@@ -66,6 +67,7 @@ class JobOptions(TypedDict, total=False):
     source: str | None
 
 
+@one_thread_of_algebra()
 def plan(
     route: Route,
     vehicle: Vehicle,

@@ -15,6 +15,7 @@ from enum import IntEnum
 
 import numpy as np
 
+from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.models.airframe import P
 from trimtab.host.plan.box import SolverBox
 from trimtab.host.plan.dynamics import YAW
@@ -65,6 +66,7 @@ _REMEDY = "give it more time, headroom or nodes"
 _NO_WAY = (SolveStatus.INFEASIBLE, SolveStatus.RESTORATION)
 
 
+@one_thread_of_algebra()  # again, with the library of scipy, which this module has loaded
 def plan_shooting(job: Job, *, nodes: int | None) -> Plan:
     """Return the plan of a kind other than min-snap.
 

@@ -11,6 +11,7 @@ import casadi as ca
 import numpy as np
 from numpy.typing import NDArray
 
+from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.codegen.compiler import compiled
 from trimtab.host.route.shapes import Shape
 from trimtab.host.shooting.chain import Chain
@@ -203,8 +204,9 @@ def _ipopt(assembly: Assembly, tolerance: float, max_iterations: int) -> Solutio
         options |= _NEAR
     w, none = ca.MX.sym("x", assembly.width), ca.MX.sym("p", 0, 1)
     nlp = {"x": w, "f": functions["nlp_f"](w, none), "g": functions["nlp_g"](w, none)}
-    run = ca.nlpsol("plan", "ipopt", nlp, options)
-    result = run(**given)
+    run = ca.nlpsol("plan", "ipopt", nlp, options)  # loads its own library of algebra
+    with one_thread_of_algebra():
+        result = run(**given)
     stats = run.stats()
     del callbacks  # CasADi holds no reference to them
     w_end = np.asarray(result["x"]).ravel()

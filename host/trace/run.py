@@ -43,6 +43,7 @@ OnProgress = Callable[[str], None]
 Manoeuvres = Callable[[], Sequence[Manoeuvre]]
 
 
+@parallel.one_thread_of_algebra()
 def run(  # noqa: PLR0913 (one keyword for each choice)
     flights: Sequence[Flight],
     held_out: Sequence[Flight],

@@ -95,10 +95,9 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     """
     from time import monotonic
 
-    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+    from trimtab.host.base.parallel import check_jobs
 
     check_jobs(options.jobs)
-    one_thread_of_algebra()
 
     import sys
 

@@ -26,10 +26,6 @@ def command(
     logs
         Flight logs of the model's vehicle.
     """
-    from trimtab.host.base.parallel import one_thread_of_algebra
-
-    one_thread_of_algebra()
-
     from trimtab.host.api.predict import predict
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say, warn

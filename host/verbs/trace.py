@@ -58,10 +58,9 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     logs
         Flight logs to trace.
     """
-    from trimtab.host.base.parallel import check_jobs, one_thread_of_algebra
+    from trimtab.host.base.parallel import check_jobs
 
     check_jobs(options.jobs)
-    one_thread_of_algebra()
 
     import sys
 

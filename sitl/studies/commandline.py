@@ -45,7 +45,7 @@ def run_apart(words: Sequence[str], folder: Path, *, alone: bool = False) -> Ans
     done = subprocess.run(
         [sys.executable, "-m", "trimtab.host.cli", *words, "--json"],
         cwd=folder,
-        env={**(bare_environment(folder) if alone else os.environ), "OPENBLAS_NUM_THREADS": "1"},
+        env=bare_environment(folder) if alone else None,
         stdin=subprocess.DEVNULL,
         capture_output=True,
         text=True,

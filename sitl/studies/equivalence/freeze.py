@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import subprocess
 import tempfile
 import tomllib
@@ -56,7 +55,6 @@ class Setup:
         done = subprocess.run(
             [str(self.command), *words, "--json"],
             cwd=folder,
-            env={**os.environ, "OPENBLAS_NUM_THREADS": "1"},
             capture_output=True,
             text=True,
             check=False,
