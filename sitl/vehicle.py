@@ -238,6 +238,16 @@ class SimulatedVehicle:
         x, y, z = self._pose[0:3]
         return x, y, z
 
+    def true_motion(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
+        """Return the true position and velocity, NED. For checks only."""
+        x, y, z, vx, vy, vz = self._pose[0:6]
+        return (x, y, z), (vx, vy, vz)
+
+    @property
+    def motor_command(self) -> tuple[float, ...]:
+        """Motor commands of the last tick, four numbers in 0..1. For checks only."""
+        return tuple(self._command)
+
     def radio_counts(self) -> dict[str, dict[str, int]]:
         """Return the channel's frame counters by direction."""
         return {

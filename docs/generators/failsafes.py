@@ -8,8 +8,14 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from trimtab.firmware_model.flight.envelope import (
+    IMPACT_SPEED,
+    RISING_SHARE,
+    SIDEWAYS_TILT_DEG,
+    THRUST_SHARE,
+)
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
-from trimtab.firmware_model.flight.flight import UPDATE_TICKS
+from trimtab.firmware_model.flight.flight import OFF_TRACK_M, UPDATE_TICKS
 from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
@@ -22,6 +28,7 @@ from trimtab.firmware_model.flight.readiness import (
 )
 from trimtab.firmware_model.flight.setpoints import SHORTEST_S
 from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
+from trimtab.firmware_model.flight.track import FAST_SPEED, SLOW_HEIGHT
 from trimtab.firmware_model.flight.verdict import BATTERY_LOW_CELL_V
 from trimtab.firmware_model.law.estimator import INTERVAL_MAX_S
 from trimtab.protocol.parameters import BY_NAME
@@ -124,12 +131,23 @@ The reference never steps. Every setpoint begins a polynomial in the present pos
 and jerk of the reference, at least {shortest:g} s long, within LIM_SPEED and OFFB_ACCEL. A stream of
 positions alone is followed about 0.3 s late.
 
-Positions end at the fence and `OFFB_HEIGHT` above the floor; velocities stop there. If no such path is gentle
-and stays inside, the vehicle first reduces the acceleration to zero, or stops and then continues. Rates stay
-within LIM_RATE_* and thrust above THRUST_FLOOR; in that case, no position is held.
+Positions end at the fence and `OFFB_HEIGHT` above the floor. A velocity stops there by itself, at any value
+of FS_OFFB_S. If no such path is gentle and stays inside, the vehicle first reduces the acceleration to
+zero, or stops and then continues.
+
+With SET_ATTITUDE_TARGET no position is held. Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR.
+Every 10 ms the vehicle predicts where a stop would end that began now, from its speed, its acceleration, and
+the thrust and tilt that are left. If that is more than `FS_FENCE_M` outside the fence, or on the floor at over
+{impact:g} m/s, it lands in place at once. The same prediction applies to a vehicle that is more than
+{off_track:g} m from its reference. A body rate that turns the vehicle over high above the floor still ends
+with the motors off (TILT).
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
-would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes up to twice as hard.
+would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes harder: sideways up to a tilt of
+{tilt:g} deg (at most LIM_TILT_DEG), in a climb with {rising:.0%} of what gravity gives above THRUST_FLOOR,
+in a descent with {share:.0%} of its greatest thrust.
+
+A landing from a height sinks at up to {fast:g} m/s, and at `LAND_SPEED` from {slow:g} m above the floor.
 """
 
 
@@ -162,7 +180,17 @@ def page() -> str:
             _table(tuple(event for event in Event if event not in COMMANDS and event not in FAILURES)),
             "\n",
             _table(FAILURES),
-            _OFFBOARD.format(shortest=SHORTEST_S, clear=CLEAR_HEIGHT),
+            _OFFBOARD.format(
+                shortest=SHORTEST_S,
+                clear=CLEAR_HEIGHT,
+                impact=IMPACT_SPEED,
+                off_track=OFF_TRACK_M,
+                tilt=SIDEWAYS_TILT_DEG,
+                rising=RISING_SHARE,
+                share=THRUST_SHARE,
+                fast=FAST_SPEED,
+                slow=SLOW_HEIGHT,
+            ),
         )
     )
 

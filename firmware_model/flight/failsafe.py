@@ -133,6 +133,17 @@ CONDITIONS: tuple[Condition, ...] = (
         text="outside the fence: landing in place",
     ),
     Condition(
+        failsafe=Failsafe.GEOFENCE,
+        event=Event.FENCE_AHEAD,
+        description="attitude commanded, or far from the reference: stopping point outside FENCE_* by more "
+        "than the bound, or on the floor too fast",
+        bound="FS_FENCE_M",
+        action=Action.LAND_IN_PLACE,
+        rationale="beyond this point even a full stop ends outside",
+        clears=_NEXT_ARMING,
+        text="fence or floor ahead: landing in place",
+    ),
+    Condition(
         failsafe=Failsafe.SATURATED,
         event=Event.SATURATED,
         description="motors saturated on nine of ten ticks or more",

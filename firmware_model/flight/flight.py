@@ -10,9 +10,10 @@ from collections import deque
 from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
-from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation
+from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation, fence
 from trimtab.firmware_model.flight.course import Course
 from trimtab.firmware_model.flight.engine import Engine, doubles
+from trimtab.firmware_model.flight.envelope import Motion, stops_outside
 from trimtab.firmware_model.flight.estimate import Estimate
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, Failsafe, escalate
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
@@ -24,10 +25,13 @@ from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update
 from trimtab.firmware_model.flight.track import Track
 from trimtab.firmware_model.law import step as law
+from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
 from trimtab.protocol.messages import Station, station_name
 
+OFF_TRACK_M = 0.5
+"""Distance (m) from its reference beyond which a vehicle is judged by its own stopping point."""
 BOOT_US = 200_000
 """Time from power to standby."""
 UPDATE_TICKS = 10
@@ -108,6 +112,7 @@ class Flight:
             self.outputs,
             parameters=parameters,
             feedforward=self.feedforward,
+            thrust_ratio=lambda: self.monitor.thrust_ratio,
             report=lambda text: self._report(_WARNING, text),
         )
         self._player, self._offboard = self._phases.player, self._phases.offboard
@@ -258,6 +263,8 @@ class Flight:
             return
         self._observe(now_us, battery_v)
         active = self.monitor.active_conditions()
+        if self._flying and self._stops_outside():
+            active.append(BY_EVENT[Event.FENCE_AHEAD])
         self.conditions = 0
         for condition in active:
             if condition.failsafe is not Failsafe.NONE:
@@ -297,6 +304,25 @@ class Flight:
             saturated_ticks=self.saturated_ticks,
         )
         self.monitor.observe(now_us, observation)
+
+    def _stops_outside(self) -> bool:
+        """Return whether nothing but a stop now keeps the vehicle inside the fence and off the floor.
+
+        A vehicle that is near its reference is where the reference is, which does not leave the fence.
+        """
+        memory = self._memory
+        if not self._offboard.direct and math.dist(self.outputs["reference"][:3], memory[:3]) < OFF_TRACK_M:
+            return False
+        a = mat_vec(quat_to_matrix(FLOAT, memory[law.EST_Q]), self._force)
+        motion = Motion(
+            p=memory[law.EST_P],
+            v=memory[law.EST_V],
+            a=(a[0], a[1], a[2] + GRAVITY),
+            thrust=self._phases.thrust,
+            cos_tilt=self._cos_tilt[0],
+        )
+        box = fence(self.parameters, self.parameters["FS_FENCE_M"])
+        return stops_outside(self._phases.envelope, motion, box, self._phases.floor)
 
     # Entry actions of the states.
 

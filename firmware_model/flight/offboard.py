@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
-from trimtab.firmware_model.flight.braking import Room
+from trimtab.firmware_model.flight.braking import Brakes, Room
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, Bounds, PositionTarget, Target
 from trimtab.firmware_model.law.constants import GRAVITY
@@ -64,15 +64,21 @@ class Offboard:
         self.followed = None
         self._fill((1.0, max(thrust, thrust_min), *rate, weight, *q))
 
-    def bounds(self, floor: float) -> Bounds:
-        """Return the bounds of setpoints above a floor at this position (m, down)."""
+    def room(self, floor: float) -> Room:
+        """Return the box of references above a floor at this position (m, down)."""
         values = self._parameters
         low = (values["FENCE_N_MIN"], values["FENCE_E_MIN"], values["FENCE_D_MIN"])
         bottom = max(low[2], min(values["FENCE_D_MAX"], floor - values["OFFB_HEIGHT"]))
+        return Room(low, (values["FENCE_N_MAX"], values["FENCE_E_MAX"], bottom))
+
+    def bounds(self, floor: float, brakes: Brakes) -> Bounds:
+        """Return the bounds of setpoints above a floor at this position (m, down)."""
+        values = self._parameters
         return Bounds(
-            room=Room(low, (values["FENCE_N_MAX"], values["FENCE_E_MAX"], bottom)),
+            room=self.room(floor),
             speed=values["LIM_SPEED"],
             accel=values["OFFB_ACCEL"],
+            brakes=brakes._replace(gentle=values["OFFB_ACCEL"]),
             yaw_rate=values["LIM_RATE_Z"],
             turn_rate=min(values["OFFB_TURN"], values["LIM_RATE_Z"]),
         )

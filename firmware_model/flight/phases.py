@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import braking, track
 from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
+from trimtab.firmware_model.flight.envelope import Envelope, envelope
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.offboard import Offboard
 from trimtab.firmware_model.flight.parameters import ParameterValues
@@ -27,7 +28,7 @@ from trimtab.protocol.telemetry import TICK_US
 FALL_US = 2_000_000
 """Time from a stop of the rotors in the air to the end of the failsafe."""
 START_ACCEL_MAX = 8.0
-"""Greatest initial acceleration (m/s^2) of a reference that takes over after a directly commanded
+"""Greatest initial horizontal acceleration (m/s^2) of a reference that takes over after a directly commanded
 attitude."""
 
 TAKEOFF_HEIGHT_MIN = BY_NAME["TAKEOFF_HEIGHT"].min
@@ -53,6 +54,8 @@ class Phases:
         Values on board.
     feedforward
         Feed-forward of the law.
+    thrust_ratio
+        Returns actual over nominal thrust.
     report
         Receives texts for people about bounded setpoints and take-offs.
 
@@ -75,6 +78,7 @@ class Phases:
         *,
         parameters: ParameterValues,
         feedforward: FeedForwardInput,
+        thrust_ratio: Callable[[], float],
         report: Callable[[str], None],
     ) -> None:
         self.player = Player(inputs["piece"], inputs["yaw_piece"])
@@ -83,6 +87,7 @@ class Phases:
         self.home_ned: tuple[float, float, float] | None = None
         self._parameters = parameters
         self._feedforward = feedforward
+        self._thrust_ratio = thrust_ratio
         self._report = report
         self._memory = inputs["memory"]
         self._armed, self._weights = inputs["armed"], inputs["feedback_weights"]
@@ -104,6 +109,11 @@ class Phases:
     def ceiling_distance(self) -> float:
         """Distance (m) from the vehicle up to the ceiling of the flight volume."""
         return self._memory[2] - self._parameters["FENCE_D_MIN"]
+
+    @property
+    def envelope(self) -> Envelope:
+        """Envelope of the parameters on board. Stops with room brake by LAND_DECEL."""
+        return envelope(self._parameters, self._thrust_ratio(), self._parameters["LAND_DECEL"])
 
     @property
     def lagged_thrust(self) -> float:
@@ -128,7 +138,10 @@ class Phases:
         return track.SINK if self.blind else values["VEL_D_D"] * values["FS_SINK_SPEED"]
 
     def reference_state(self, now_us: int) -> ReferenceState:
-        """Return the present reference, or the state of the vehicle while attitude is commanded."""
+        """Return the present reference, or the state of the vehicle while attitude is commanded.
+
+        In height that state has no acceleration, since thrust changes at once.
+        """
         if not self.offboard.direct:
             reference = self.player.reference(now_us)
             return reference[:12], (reference[12], reference[13])
@@ -137,9 +150,9 @@ class Phases:
             return (*self._position(), *_REST), (self._yaw(), 0.0)
         R = quat_to_matrix(FLOAT, memory[law.EST_Q])
         thrust = self.thrust
-        a = (-R[2] * thrust, -R[5] * thrust, GRAVITY - R[8] * thrust)
-        share = min(1.0, START_ACCEL_MAX / max(math.hypot(*a), 1e-9))
-        state = (*memory[law.EST_P], *memory[law.EST_V], *(share * x for x in a), 0.0, 0.0, 0.0)
+        north, east = -R[2] * thrust, -R[5] * thrust
+        share = min(1.0, START_ACCEL_MAX / max(math.hypot(north, east), 1e-9))
+        state = (*memory[law.EST_P], *memory[law.EST_V], share * north, share * east, 0.0, 0.0, 0.0, 0.0)
         return state, (self._yaw(), 0.0)
 
     # Floor and take-off.
@@ -197,7 +210,7 @@ class Phases:
         values = self._parameters
         state, yaw = reference_state
         path = track.transit(
-            braking.braked(state, values["LAND_DECEL"], self._room()),
+            braking.braked(state, self.envelope.brakes, self._room()),
             yaw,
             reference.start_ned,
             reference.start_yaw,
@@ -215,8 +228,7 @@ class Phases:
     def stop(self, reference_state: ReferenceState, now_us: int, hold_s: float | None = None) -> None:
         """Stop and hold, for `hold_s` or until another command."""
         hold_us = track.ENDLESS_US if hold_s is None else max(TICK_US, braking.seconds_us(hold_s))
-        deceleration = self._parameters["LAND_DECEL"]
-        path = track.stop(*reference_state, deceleration=deceleration, room=self._room(), hold_us=hold_us)
+        path = track.stop(*reference_state, brakes=self.envelope.brakes, room=self._room(), hold_us=hold_us)
         self.player.start(path, now_us)
 
     def follow(self, now_us: int) -> None:
@@ -236,7 +248,7 @@ class Phases:
             target_ned = climb_only(target_ned, node)
         else:
             offboard.followed = target
-        path, bounded = towards(target_ned, node, yaw, offboard.bounds(self.floor))
+        path, bounded = towards(target_ned, node, yaw, offboard.bounds(self.floor, self.envelope.brakes))
         if bounded and not self._bounded:
             self._report("setpoint bounded by fence, floor or speed")
         self._bounded = bounded
@@ -251,7 +263,7 @@ class Phases:
             *reference_state,
             floor=self.floor,
             speed=values["LAND_SPEED"],
-            deceleration=values["LAND_DECEL"],
+            brakes=self.envelope.brakes,
             room=self._room(),
         )
         self.player.start(descent, now_us)
@@ -298,7 +310,7 @@ class Phases:
         self.player.start(track.hold((0.0, 0.0, 0.0), 0.0, FALL_US), now_us)
 
     def _room(self) -> braking.Room:
-        return self.offboard.bounds(self.floor).room
+        return self.offboard.room(self.floor)
 
     def _is_low(self, node: braking.Node) -> bool:
         return self.floor - node[2] < CLEAR_HEIGHT

@@ -18,14 +18,20 @@ from dataclasses import dataclass, replace
 from trimtab.firmware_model.flight.braking import (
     EASE_S,
     QUINTIC_PEAK,
+    SIDEWAYS_RAMP_US,
+    Brakes,
     Node,
     Room,
+    Timeline,
     Vector,
+    along,
     braked,
     coast,
     eased,
+    merged,
     samples,
     seconds_us,
+    stopped,
 )
 from trimtab.firmware_model.flight.track import ENDLESS_US, SEPTIC_PEAK, Track, YawState, track
 
@@ -99,12 +105,13 @@ Target = PositionTarget | AttitudeTarget
 class Bounds:
     """Bounds of setpoints: room, speed (m/s), acceleration (m/s^2) and yaw rates (rad/s).
 
-    turn_rate: greatest yaw rate of a turn to a new yaw.
+    brakes: decelerations of a stop. turn_rate: greatest yaw rate of a turn to a new yaw.
     """
 
     room: Room
     speed: float
     accel: float
+    brakes: Brakes
     yaw_rate: float
     turn_rate: float
 
@@ -136,7 +143,8 @@ def climb_only(target: PositionTarget, state: Node) -> PositionTarget:
 def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
     """Return the track from the reference state (p, v, a, j) to the target, and whether bounds changed it.
 
-    The track continues without end. `target.ahead` must be False; `to_ned` converts such a target.
+    The track continues without end. A velocity stops at the wall of the room, or just above the floor, with
+    or without a newer setpoint. `target.ahead` must be False; `to_ned` converts such a target.
     """
     goal, goal_v = _bounded_goal(target, state, bounds)
     shortest_s = SAMPLE_S if target.is_sample else SHORTEST_S
@@ -147,13 +155,42 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
         t_us += seconds_us(RENEWAL_S)
         end = _moving(coast(end, velocity, RENEWAL_S), velocity)
         nodes.append((t_us, end))
-    far = ENDLESS_US * 1e-6
-    p: Vector = (end[0] + far * end[3], end[1] + far * end[4], end[2] + far * end[5])
-    nodes.append((t_us + ENDLESS_US, _moving(p, velocity)))
+    end_us = t_us + ENDLESS_US
+    nodes += [(t_us + after_us, node) for after_us, node in _to_wall(end, bounds)[1:]]
+    last_us, last = nodes[-1]
+    if last_us < end_us:
+        nodes.append((end_us, last))
     bounded = goal != target.p or any(
         abs(v - (w or 0.0)) > 1e-6 for v, w in zip(goal_v, target.v, strict=True)
     )
-    return track(nodes, _turn(target, yaw, t_us + ENDLESS_US, bounds)), bounded
+    return track(nodes, _turn(target, yaw, end_us, bounds)), bounded
+
+
+def _to_wall(state: Node, bounds: Bounds) -> Timeline:
+    """Return a flight at the state's velocity that stops each axis at the wall of the room."""
+    if not any(state[3:6]):
+        return [(0, state)]
+    return merged(*(_axis_to_wall(along(state, (i,)), i, bounds) for i in range(3)))
+
+
+def _axis_to_wall(state: Node, axis: int, bounds: Bounds) -> Timeline:
+    """Return the same along one axis, with 0 for the others."""
+    v = state[3 + axis]
+    if not v:
+        return [(0, state)]
+    stop = stopped(state, (axis,), bounds.accel, SIDEWAYS_RAMP_US)
+    wall = bounds.room.high[axis] if v > 0.0 else bounds.room.low[axis]
+    coast_s = max(0.0, (wall - stop[-1][1][axis]) / v)  # from here to where the stop begins
+    coast_us = 1000 * math.floor(1000.0 * min(coast_s, 1e-6 * ENDLESS_US))
+    if not coast_us:
+        return stop
+    shift = 1e-6 * coast_us * v
+    moved = [(coast_us + t_us, _shifted(node, axis, shift)) for t_us, node in stop]
+    return [(0, state), *(moved if coast_us < ENDLESS_US else moved[:1])]
+
+
+def _shifted(node: Node, axis: int, distance: float) -> Node:
+    return (*node[:axis], node[axis] + distance, *node[axis + 1 :])
 
 
 def _nodes(
@@ -183,7 +220,7 @@ def _starts(state: Node, bounds: Bounds) -> Iterator[tuple[list[tuple[int, Node]
     """Yield the fixed first nodes of a path, and the nodes from which it continues to the goal."""
     yield [], [(0, state)]
     yield [], [(0, state), (seconds_us(EASE_S), eased(state, EASE_S))]
-    stop = braked(state, bounds.accel, bounds.room)
+    stop = braked(state, bounds.brakes, bounds.room)
     yield stop[:-1], stop[-1:]
 
 

@@ -58,6 +58,7 @@ class Event(IntEnum):
     SATURATED = 22
     LOOP_OVERRUN = 23
     FENCE_LEFT = 24
+    FENCE_AHEAD = 25  # the predicted stopping point is outside
 
 
 COMMANDS = tuple(event for event in Event if Event.ARM <= event <= Event.KILL)
@@ -203,6 +204,7 @@ _ROWS: dict[State, _Row] = {
         _E.SATURATED: _LANDING_ALREADY,
         _E.LOOP_OVERRUN: _LANDING_ALREADY,
         _E.FENCE_LEFT: _LANDING_ALREADY,
+        _E.FENCE_AHEAD: _LANDING_ALREADY,
     },
     _S.FAILSAFE: {
         **_NO_PHASE,

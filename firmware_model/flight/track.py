@@ -17,6 +17,7 @@ from itertools import pairwise
 from trimtab.firmware_model.flight.braking import (
     QUINTIC_PEAK,
     ZERO,
+    Brakes,
     Node,
     Room,
     Vector,
@@ -42,6 +43,12 @@ YawState = tuple[float, float]
 
 SEPTIC_PEAK = 35.0 / 16.0
 """Peak over mean speed of a septic from rest to rest."""
+FAST_SPEED = 2.0
+"""Greatest speed (m/s) of a landing from a height. Faster, a small rotor would sink into its own wake."""
+SLOW_HEIGHT = 1.0
+"""Height (m) above the floor from which a landing has its final speed."""
+CHANGE_US = 1_000_000
+"""Time of a change of speed in a descent."""
 BRAKING = 5.0
 """Deceleration (m/s^2) of a descent without position."""
 TURN_US = 500_000
@@ -194,26 +201,38 @@ def hold(p: Vector, yaw: float, duration_us: int) -> Track:
     return track([(0, node_at_rest(p)), (duration_us, node_at_rest(p))], [(0, yaw, 0.0)])
 
 
-def stop(state: Node, yaw: YawState, *, deceleration: float, room: Room, hold_us: int = ENDLESS_US) -> Track:
+def stop(state: Node, yaw: YawState, *, brakes: Brakes, room: Room, hold_us: int = ENDLESS_US) -> Track:
     """Return a stop from the reference state (p, v, a, j), then rest for `hold_us`."""
-    nodes = braked(state, deceleration, room)
+    nodes = braked(state, brakes, room)
     t_us, last = nodes[-1]
     nodes[-1] = (t_us, node_at_rest(position_of(last)))
     return track([*nodes, (t_us + hold_us, nodes[-1][1])], _turning(*yaw))
 
 
-def land(state: Node, yaw: YawState, *, floor: float, speed: float, deceleration: float, room: Room) -> Track:
+def land(state: Node, yaw: YawState, *, floor: float, speed: float, brakes: Brakes, room: Room) -> Track:
     """Return a stop from the reference state (p, v, a, j), then a descent at `speed` to 1 m below `floor`.
 
-    A vehicle at rest descends immediately. The end of the track is the latest time for a touchdown; after
-    it the motors stop.
+    A vehicle at rest descends immediately, and from a height first at up to FAST_SPEED, down to SLOW_HEIGHT.
+    The end of the track is the latest time for a touchdown; after it the motors stop.
     """
-    nodes = braked(state, deceleration, room, still=0.05)
+    nodes = braked(state, brakes, room, still=0.05)
     t_us, last = nodes[-1]
     p = position_of(last)
     down: Vector = (0.0, 0.0, speed)
-    t_us += 1_000_000
-    p = _below(p, 0.5 * speed)
+    fast = min(FAST_SPEED, floor - p[2] - SLOW_HEIGHT - 0.5 * speed)  # a second to it, a second from it
+    if fast > speed:
+        p = _below(p, 0.5 * fast)
+        nodes.append((t_us + CHANGE_US, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
+        t_us += CHANGE_US
+        coast_us = seconds_us((floor - p[2] - SLOW_HEIGHT - 0.5 * (fast + speed)) / fast)
+        if coast_us > 0:
+            p = _below(p, fast * coast_us * 1e-6)
+            t_us += coast_us
+            nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
+        p = _below(p, 0.5 * (fast + speed))
+    else:
+        p = _below(p, 0.5 * speed)
+    t_us += CHANGE_US
     nodes.append((t_us, (*p, *down, *ZERO, *ZERO)))
     descent_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
     p = _below(p, speed * descent_us * 1e-6)

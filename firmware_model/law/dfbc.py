@@ -1,13 +1,14 @@
 """The differential-flatness-based controller: PD translation, attitude, PID body rate.
 
     a_cmd   = a_r + s [K_p (p_r - p) + K_v (v_r - v)] - d_ff
-    f       = g e3 - a_cmd                body z: z_des = f / |f|, thrust along -z_des, heading: yaw_r
+    f       = upright(g e3 - a_cmd)       body z: z_des = f / |f|, thrust along -z_des, heading: yaw_r
     T       = m max(f . z_B, thrust_floor g)
     w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att (e_R - e_0),
     e_R     = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
-f is minus the commanded specific force. d_ff is the residual acceleration, predicted plus observed; d_ff' is
+f is minus the commanded specific force; `upright` keeps feedback from turning it downward and from tilting it
+by over TILT_MAX_DEG. d_ff is the residual acceleration, predicted plus observed; d_ff' is
 the derivative of the predicted one. s <= 1 scales the feedback down to FEEDBACK_MAX. e_0 is the attitude
 offset in roll and pitch. w_f' is the derivative of the body rate after a first-order filter. Paper sections
 III-B and V-B ("a PD translational controller and a PID body rate controller"). `rate_loop` takes I and the
@@ -16,6 +17,7 @@ filtered rate and returns I'; `step` advances the filter.
 
 from __future__ import annotations
 
+import math
 from typing import Any, NamedTuple
 
 from trimtab.firmware_model.law.constants import GRAVITY
@@ -23,6 +25,9 @@ from trimtab.firmware_model.law.flatness import Body, heading, heading_matrix, h
 from trimtab.firmware_model.law.ops import Ops, Scalar, Vector
 from trimtab.firmware_model.law.rotations import attitude_error, cross
 
+TILT_MAX_DEG = 75.0
+"""Greatest tilt that feedback commands beyond what the reference itself asks for."""
+_TILT_MAX_TAN = math.tan(math.radians(TILT_MAX_DEG))
 FEEDBACK_MAX = 15.0
 """Greatest acceleration (m/s^2) that position and velocity errors command together; more is scaled down."""
 
@@ -123,8 +128,13 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     bound_squared = FEEDBACK_MAX * FEEDBACK_MAX
     # Exactly 1 within the bound; beyond it the scaled magnitude equals the bound.
     scale = ops.sqrt(bound_squared / ops.maximum(square, bound_squared))
-    f = [ff_accel[i] - ref.a[i] - scale * feedback[i] for i in range(3)]
-    f[2] = f[2] + GRAVITY
+    asked = [ff_accel[i] - ref.a[i] for i in range(3)]
+    f = _upright(
+        ops,
+        [a - scale * e for a, e in zip(asked, feedback, strict=True)],
+        asked,
+        gains.thrust_floor * GRAVITY,
+    )
     thrust_axis = heading(ops, f, ref.yaw)
 
     thrust = f[0] * R[2] + f[1] * R[5] + f[2] * R[8]
@@ -134,6 +144,21 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])
     rate_ff = heading_rates(thrust_axis, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
     return collective, [w - k * e for w, k, e in zip(rate_ff, gains.attitude, error, strict=True)]
+
+
+def _upright(ops: Ops, f: Vector, asked: Vector, lift_min: Scalar) -> list[Scalar]:
+    """Return f with gravity; feedback neither turns the thrust downward nor tilts it by over TILT_MAX_DEG.
+
+    f, asked: minus the commanded specific force with and without feedback, without gravity. What the
+    reference itself asks for is not limited. Within the limits, f is returned to the bit.
+    """
+    lift_asked = asked[2] + GRAVITY
+    lift = ops.maximum(f[2] + GRAVITY, ops.minimum(lift_asked, lift_min))
+    most = _TILT_MAX_TAN * ops.maximum(lift, lift_min)
+    most_squared = ops.maximum(most * most, asked[0] * asked[0] + asked[1] * asked[1])
+    square = f[0] * f[0] + f[1] * f[1]
+    share = ops.sqrt(most_squared / ops.maximum(square, most_squared))
+    return [share * f[0], share * f[1], lift]
 
 
 def rate_loop(

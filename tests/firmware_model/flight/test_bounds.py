@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from trimtab.firmware_model.flight.braking import Room
+from trimtab.firmware_model.flight.braking import Brakes, Room
 from trimtab.firmware_model.flight.condition_monitor import ConditionMonitor
 from trimtab.firmware_model.flight.failsafe import Failsafe
 from trimtab.firmware_model.flight.offboard import Offboard
@@ -16,6 +16,7 @@ from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.protocol.parameters import DEFAULTS
 
 AT_2_M = (0.0, 0.0, -2.0, *(0.0,) * 9)
+BRAKES = Brakes(gentle=4.0, sideways=8.0, rising=7.0, sinking=8.0, tilt=1.7)
 
 
 def leaning(body_type, angle_deg):
@@ -93,14 +94,14 @@ def test_setpoints_end_at_offb_height(height, lowest_m):
     offboard = Offboard(
         memoryview(bytearray(80)).cast("d"), ParameterValues({**DEFAULTS, "OFFB_HEIGHT": height})
     )
-    assert offboard.bounds(0.0).room.high[2] == pytest.approx(lowest_m)
+    assert offboard.room(0.0).high[2] == pytest.approx(lowest_m)
 
 
 def test_turn_to_a_yaw_follows_offb_turn():
     room = Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2))
     rates = []
     for turn_rate in (0.5, 1.5):
-        bounds = Bounds(room=room, speed=5.0, accel=4.0, yaw_rate=3.0, turn_rate=turn_rate)
+        bounds = Bounds(room=room, speed=5.0, accel=4.0, brakes=BRAKES, yaw_rate=3.0, turn_rate=turn_rate)
         way, _ = towards(
             PositionTarget(p=(0.0, 0.0, -2.0), v=(None, None, None), yaw=2.0), AT_2_M, (0.0, 0.0), bounds
         )

@@ -241,15 +241,13 @@ def test_geofence_ends_a_flight_by_rates_too(make_rig):
     rise = AttitudeTarget(thrust=0.25, rate=(0.0, 0.0, 0.0))
     rig.flight.setpoint(rise, rig.now_us)
     assert rig.flight.handle_event(Event.OFFBOARD, rig.now_us) is None
-    while rig.body.p[2] > -2.5:
+    highest = 0.0
+    for _ in range(300):
         rig.flight.setpoint(rise, rig.now_us)
         rig.run(0.01)
-    start = rig.now_us
-    while rig.flight.state is State.OFFBOARD:
-        rig.flight.setpoint(rise, rig.now_us)
-        rig.run(0.01)
+        highest = max(highest, -rig.body.p[2])
     assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.GEOFENCE)
-    assert 1e-6 * (rig.now_us - start) == pytest.approx(DEFAULTS["FS_FENCE_S"], abs=0.04)
+    assert highest < 2.0 + DEFAULTS["FS_FENCE_M"] + 0.2
     landed_softly(rig)
 
 

@@ -7,7 +7,7 @@ import math
 import pytest
 
 from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
-from trimtab.firmware_model.flight.failsafe import Failsafe
+from trimtab.firmware_model.flight.failsafe import Action, Failsafe
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, PositionTarget
 from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.firmware_model.law import step as law
@@ -501,7 +501,7 @@ def test_rates_lost_hold_where_it_is(make_rig):
     assert rig.body.p[2] < -2.0
 
 
-def test_rates_that_tip_it_over_stop_the_motors(make_rig):
+def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
     rig = make_rig(reference=False)
     hovering(rig, 3.0)
     target = AttitudeTarget(thrust=HOVER, rate=(6.0, 0.0, 0.0))
@@ -509,5 +509,21 @@ def test_rates_that_tip_it_over_stop_the_motors(make_rig):
     for _ in range(50):
         rig.run(0.02)
         rig.flight.setpoint(target, rig.now_us)
-    assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.TILT)
+    assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.GEOFENCE)
+    while rig.flight.state is State.FAILSAFE:
+        speed = math.hypot(*rig.body.v)
+        rig.run(0.01)
+    assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
+    assert speed < 0.7
+
+
+def test_rates_that_tip_it_over_stop_the_motors(make_rig):
+    rig = make_rig(reference=False)
+    hovering(rig, 5.5)
+    target = AttitudeTarget(thrust=HOVER, rate=(6.0, 0.0, 0.0))
+    offboard(rig, target)
+    for _ in range(50):
+        rig.run(0.02)
+        rig.flight.setpoint(target, rig.now_us)
+    assert (rig.flight.state, rig.flight.action) == (State.FAILSAFE, Action.MOTORS_OFF)
     assert max(rig.command) == 0.0

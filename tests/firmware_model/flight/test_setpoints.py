@@ -7,13 +7,19 @@ import random
 
 import pytest
 
-from trimtab.firmware_model.flight.braking import Room
+from trimtab.firmware_model.flight.braking import Brakes, Room
 from trimtab.firmware_model.flight.setpoints import Bounds, PositionTarget, towards
 
 BOUNDS = Bounds(
-    room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)), speed=5.0, accel=4.0, yaw_rate=3.0, turn_rate=1.5
+    room=Room((-10.0, -10.0, -5.0), (10.0, 10.0, -0.2)),
+    speed=5.0,
+    accel=4.0,
+    brakes=Brakes(gentle=4.0, sideways=8.0, rising=7.0, sinking=8.0, tilt=1.7),
+    yaw_rate=3.0,
+    turn_rate=1.5,
 )
 EVERY_US = 50_000
+AT_2_M = (0.0, 0.0, -2.0, *(0.0,) * 9)
 NONE = (None, None, None)
 
 
@@ -45,7 +51,7 @@ def test_stream_of_any_setpoints_stays_within_its_bounds(seed: int) -> None:
                 found = way.state_at(EVERY_US // share)
                 assert BOUNDS.room.beyond(found) < 0.01
                 assert math.hypot(*found[3:6]) < 1.2 * BOUNDS.speed
-                assert math.hypot(*found[6:9]) < 1.3 * BOUNDS.accel
+                assert max(math.hypot(*found[6:8]), abs(found[8])) < 1.3 * BOUNDS.accel
             state, yaw = found[:12], (found[12], found[13])
 
 
@@ -60,3 +66,18 @@ def test_one_change_of_position_in_full_flight_leads_there(seed: int) -> None:
     assert way.state_at(20_000_000)[:3] == pytest.approx(asked)
     lowest = max(way.state_at(10_000 * k)[2] for k in range(1000))
     assert lowest < BOUNDS.room.high[2] + 0.01
+
+
+@pytest.mark.parametrize(
+    "velocity", [(3.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1.5), (2.0, 3.0, -1.0), (0.1, 0.0, 0.0)]
+)
+def test_velocity_without_a_newer_setpoint_stops_at_the_wall(velocity: tuple[float, float, float]) -> None:
+    way, _ = towards(PositionTarget(p=NONE, v=velocity), AT_2_M, (0.0, 0.0), BOUNDS)
+    states = [way.state_at(20_000 * k) for k in range(8_000)]
+    assert max(BOUNDS.room.beyond(state) for state in states) < 0.01
+    assert states[-1][3:6] == pytest.approx((0.0, 0.0, 0.0), abs=1e-4)
+    walls = [
+        x if not v else (high if v > 0.0 else low)
+        for v, x, low, high in zip(velocity, AT_2_M, *BOUNDS.room, strict=False)
+    ]
+    assert states[-1][:3] == pytest.approx(walls, abs=0.02)

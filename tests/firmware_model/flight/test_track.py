@@ -7,7 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from trimtab.firmware_model.flight.braking import Room, seconds_us
+from trimtab.firmware_model.flight.braking import Brakes, Room, seconds_us
 from trimtab.firmware_model.flight.track import Track, climb, hold, land, level_descent, stop, track
 
 REST = (0.0,) * 9
@@ -74,8 +74,13 @@ def test_hold_stays():
         np.testing.assert_allclose(v, 0.0, atol=1e-12)
 
 
+def brakes(gentle):
+    """Decelerations of a stop, twice as hard as gentle at most."""
+    return Brakes(gentle=gentle, sideways=2.0 * gentle, rising=7.0, sinking=2.0 * gentle, tilt=10.0)
+
+
 def test_land_from_rest_goes_straight_down_through_the_floor():
-    t = land((1.0, 2.0, -1.5, *REST), (0.3, 0.0), floor=0.0, speed=0.5, deceleration=5.0, room=WIDE)
+    t = land((1.0, 2.0, -1.5, *REST), (0.3, 0.0), floor=0.0, speed=0.5, brakes=brakes(5.0), room=WIDE)
     assert_pieces_join(t)
     end, v, *_ = septic(t.blocks[-1], durations(t)[-1])
     np.testing.assert_allclose(end, [1.0, 2.0, 1.0], atol=1e-3)
@@ -86,13 +91,13 @@ def test_land_from_rest_goes_straight_down_through_the_floor():
 
 def test_land_at_speed_brakes_within_its_deceleration_first():
     state = (0.0, 0.0, -2.0, 5.0, 0.0, 0.0, *(0.0,) * 6)
-    t = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=5.0, room=WIDE)
+    t = land(state, (0.0, 0.0), floor=0.0, speed=0.5, brakes=brakes(5.0), room=WIDE)
     assert_pieces_join(t)
     accelerations = [np.linalg.norm(a) for _, _, a, _ in sampled(t)]
     assert max(accelerations) == pytest.approx(5.0, rel=1e-2)
-    braking_s = durations(t)[0]
-    x = septic(t.blocks[0], braking_s)[0][0]
-    assert x == pytest.approx(5.0 * braking_s / 2.0)
+    ends = [septic(block, each) for block, each in zip(t.blocks[:3], durations(t)[:3], strict=True)]
+    assert ends[2][0][0] == pytest.approx(5.0 * 5.0 / (2.0 * 5.0) + 5.0 * 0.3 / 2.0, rel=5e-3)
+    np.testing.assert_allclose(ends[2][1], 0.0, atol=1e-9)
 
 
 @pytest.mark.parametrize(
@@ -105,11 +110,11 @@ def test_land_at_speed_brakes_within_its_deceleration_first():
 )
 def test_stop_out_of_a_dive_ends_above_the_floor(height, velocity, acceleration):
     state = (-4.5, 0.0, -height, *velocity, *acceleration, 0.0, 0.0, 0.0)
-    t = stop(state, (0.0, 0.0), deceleration=4.0, room=LAB)
+    t = stop(state, (0.0, 0.0), brakes=brakes(4.0), room=LAB)
     assert_pieces_join(t)
     assert max(p[2] for p, *_ in sampled(t)) <= -0.2
     np.testing.assert_allclose(list(sampled(t))[-1][1], 0.0, atol=1e-9)
-    down = land(state, (0.0, 0.0), floor=0.0, speed=0.5, deceleration=4.0, room=LAB)
+    down = land(state, (0.0, 0.0), floor=0.0, speed=0.5, brakes=brakes(4.0), room=LAB)
     assert_pieces_join(down)
     assert down.blocks[0] == t.blocks[0]
 
@@ -117,12 +122,12 @@ def test_stop_out_of_a_dive_ends_above_the_floor(height, velocity, acceleration)
 def test_stop_towards_the_fence_brakes_harder_and_one_without_room_as_hard_as_it_may():
     def run(velocity):
         state = (0.0, 0.0, -2.0, velocity, 0.0, 0.0, *(0.0,) * 6)
-        t = stop(state, (0.0, 0.0), deceleration=4.0, room=LAB, hold_us=1_000_000)
+        t = stop(state, (0.0, 0.0), brakes=brakes(4.0), room=LAB, hold_us=1_000_000)
         return t.end_ned[0], max(np.linalg.norm(a) for _, _, a, _ in sampled(t))
 
-    assert run(4.0) == (pytest.approx(3.75), pytest.approx(4.0, rel=0.01))  # 1.875 / 2 * 16 / 4
-    assert run(5.0) == (pytest.approx(4.98, abs=0.01), pytest.approx(4.7, rel=0.01))
-    assert run(9.0) == (pytest.approx(9.49, abs=0.01), pytest.approx(8.0, rel=0.01))
+    assert run(4.0) == (pytest.approx(16.0 / 8.0 + 0.6, abs=0.01), pytest.approx(4.0, rel=0.01))
+    assert run(6.0) == (pytest.approx(36.0 / 9.6 + 0.9, abs=0.01), pytest.approx(4.8, rel=0.01))
+    assert run(9.0) == (pytest.approx(81.0 / 16.0 + 1.35, rel=0.02), pytest.approx(8.0, rel=0.01))
 
 
 def test_level_descent_is_smooth_down_to_the_open_loop_part():

@@ -1,0 +1,179 @@
+"""The envelope: how hard the vehicle can brake, and where it would stop if it braked now.
+
+A vehicle that follows a reference stays where the reference does. Under a directly commanded attitude, or far
+from its reference, only a stop in time keeps it inside the flight volume. So the failsafe acts on the
+predicted stopping point, not on the present position. The prediction takes the present motion, the thrust on
+its way to the rotors, the time to turn the thrust axis, and then a constant deceleration.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import NamedTuple
+
+from trimtab.firmware_model.flight.braking import VERTICAL_RAMP_US, Brakes
+from trimtab.firmware_model.flight.condition_monitor import Box
+from trimtab.firmware_model.law.constants import GRAVITY
+
+THRUST_SHARE = 0.75
+"""Share of the greatest thrust that a stop uses; the rest is for attitude control."""
+SIDEWAYS_TILT_DEG = 50.0
+"""Greatest tilt of a horizontal stop without a climb or a descent."""
+RISING_SHARE = 0.95
+"""Share of the greatest deceleration of a climb, that without thrust beyond the least, that a stop uses."""
+SINKING_MAX = 12.0
+"""Greatest deceleration (m/s^2) of a descent."""
+SINKING_MIN = 0.5
+"""Least deceleration (m/s^2) of a descent that a prediction assumes, for vehicles with little thrust."""
+DECISION_S = 0.012
+"""Time from a measurement to the thrust of a decision: one update, and a tick of the rotors' commands."""
+TURN_SHARE = 0.7
+"""Mean body rate of a turn of the thrust axis over ATT_P times its angle."""
+TURN_S = 0.05
+"""Time that a turn of the thrust axis takes beyond that: the body rate has to build up and to end."""
+NEXT_STEP = 1.2
+"""Deceleration of the next step of `braking.HARDER` over that which is just needed."""
+CLEARANCE = 0.15
+"""Height (m) above the floor at which a sideways motion must not descend any further."""
+IMPACT_SPEED = 1.0
+"""Greatest speed (m/s) at which a stop may still meet the floor."""
+
+
+class Motion(NamedTuple):
+    """Estimated motion at one time.
+
+    p, v, a: position (m), velocity and acceleration with gravity (m/s^2), NED. thrust: commanded thrust over
+    mass (m/s^2). cos_tilt: cosine of the tilt.
+    """
+
+    p: Sequence[float]
+    v: Sequence[float]
+    a: Sequence[float]
+    thrust: float
+    cos_tilt: float
+
+
+class Envelope(NamedTuple):
+    """Constants of the prediction, from the parameters on board and the thrust ratio.
+
+    brakes: greatest decelerations. lag_s: time constant of the rotors' thrust. turn_rate: mean body rate over
+    the angle of a turn of the thrust axis (1/s).
+    """
+
+    brakes: Brakes
+    lag_s: float
+    turn_rate: float
+
+    def apex(self, motion: Motion) -> float:
+        """Return how far the vehicle would still climb, m, if the thrust were cut now."""
+        rising, lift = -motion.v[2], GRAVITY - motion.a[2]
+        commanded = motion.thrust * max(motion.cos_tilt, 0.0)
+        lift += max(0.0, commanded - lift) * (1.0 - math.exp(-DECISION_S / self.lag_s))
+        brake = self.brakes.rising
+        least = GRAVITY - brake
+        excess_s = max(0.0, lift - least) * self.lag_s  # speed gained until the thrust has decayed
+        speed = rising + (lift - GRAVITY) * DECISION_S + excess_s
+        if speed <= 0.0:
+            return 0.0
+        delay_s = DECISION_S + 0.5e-6 * VERTICAL_RAMP_US
+        return max(0.0, rising) * delay_s + speed * speed / (2.0 * brake) - excess_s * self.lag_s
+
+    def sideways(self, motion: Motion, room: float) -> tuple[float, float, float, float]:
+        """Return how far the vehicle would still move to the north, south, east and west, m.
+
+        room: height (m) that is left for a climb. A climb that needs a hard stop leaves less lift to tilt.
+        """
+        rising = max(0.0, -motion.v[2])
+        needed = rising * rising / (2.0 * max(room, 1e-3))
+        needed = min(max(NEXT_STEP * needed, self.brakes.gentle), self.brakes.rising)
+        beside, brake = self.brakes.sideways_beside(needed), self.brakes.sideways
+        beside_s = rising / needed
+        brake_tilt = math.atan2(brake, GRAVITY)
+        tilt = math.acos(min(max(motion.cos_tilt, -1.0), 1.0))
+        level = max(math.hypot(motion.a[0], motion.a[1]), 1e-6)
+        distances = []
+        for axis, side in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
+            v, a = side * motion.v[axis], side * motion.a[axis]
+            turn_s = self._turn_s(max(0.0, brake_tilt + tilt * a / level))
+            distances.append(_stop_distance(v, a, (max(beside, -a), max(brake, -a)), beside_s, turn_s))
+        north, south, east, west = distances
+        return north, south, east, west
+
+    def impact_speed(self, motion: Motion, height: float) -> float:
+        """Return the speed (m/s) at which the vehicle would meet a floor `height` below it; 0 if it stops.
+
+        A vehicle that moves sideways must stop CLEARANCE above the floor.
+        """
+        sinking, a = motion.v[2], motion.a[2]
+        sideways = math.hypot(motion.v[0], motion.v[1])
+        if sideways > IMPACT_SPEED:
+            height -= CLEARANCE
+        turn_s = self._turn_s(math.acos(min(max(motion.cos_tilt, -1.0), 1.0))) + 0.5e-6 * VERTICAL_RAMP_US
+        brake = max(self.brakes.sinking, SINKING_MIN)
+        after = sinking + turn_s * (a - brake) / 2.0
+        left = height - (sinking * turn_s + turn_s**2 * (2.0 * a - brake) / 6.0)
+        if after <= 0.0 or left <= 0.0:
+            square = sinking * sinking + 2.0 * max(a, 0.0) * max(height, 0.0)
+            return math.hypot(math.sqrt(square), sideways) if left <= 0.0 and sinking > 0.0 else 0.0
+        square = after * after - 2.0 * brake * left
+        return math.hypot(math.sqrt(square), sideways) if square > 0.0 else 0.0
+
+    def _turn_s(self, angle: float) -> float:
+        return angle / self.turn_rate + self.lag_s + TURN_S
+
+
+def envelope(parameters: Mapping[str, float], thrust_ratio: float, gentle: float) -> Envelope:
+    """Return the envelope of the parameters on board.
+
+    thrust_ratio: actual over nominal thrust. gentle: deceleration of stops with room, m/s^2.
+    """
+    mass = parameters["MASS"]
+    most = THRUST_SHARE * 4.0 * parameters["THRUST_MAX"] * min(thrust_ratio, 1.0) / mass
+    least = max(parameters["THRUST_FLOOR"] * GRAVITY, 4.0 * parameters["THRUST_MIN"] / mass)
+    tilt = min(SIDEWAYS_TILT_DEG, parameters["LIM_TILT_DEG"])
+    sideways = min(GRAVITY * math.tan(math.radians(tilt)), math.sqrt(max(0.0, most**2 - GRAVITY**2)))
+    sinking = min(max(SINKING_MIN, most - GRAVITY), SINKING_MAX)
+    brakes = Brakes(
+        gentle=gentle,
+        sideways=max(sideways, SINKING_MIN),
+        rising=RISING_SHARE * (GRAVITY - least),
+        sinking=sinking,
+        tilt=math.tan(math.radians(min(parameters["LIM_TILT_DEG"], 70.0))),
+    )
+    turn_rate = TURN_SHARE * max(1e-3, min(parameters["ATT_P_X"], parameters["ATT_P_Y"]))
+    return Envelope(brakes=brakes, lag_s=parameters["MOTOR_LAG"], turn_rate=turn_rate)
+
+
+def stops_outside(envelope: Envelope, motion: Motion, fence: Box, floor: float) -> bool:
+    """Return whether a stop that began now would end outside the fence, or meet the floor too fast.
+
+    floor: floor of the take-off (m, down). Below it, the bottom of the fence is the floor.
+    """
+    (south, north), (west, east), (top, bottom) = fence
+    p = motion.p
+    room = p[2] - top
+    if envelope.apex(motion) > room:
+        return True
+    to_north, to_south, to_east, to_west = envelope.sideways(motion, room)
+    if p[0] + to_north > north or p[0] - to_south < south or p[1] + to_east > east or p[1] - to_west < west:
+        return True
+    height = floor - p[2]
+    return envelope.impact_speed(motion, height if height >= 0.0 else bottom - p[2]) > IMPACT_SPEED
+
+
+def _stop_distance(v: float, a: float, brakes: tuple[float, float], first_s: float, turn_s: float) -> float:
+    """Return the distance to a stop along one axis.
+
+    The acceleration changes linearly from `a` to the first brake within `turn_s`. The first brake acts until
+    `first_s`, the second after it.
+    """
+    first, second = brakes
+    after = v + turn_s * (a - first) / 2.0
+    if after <= 0.0:
+        return max(0.0, v) * min(turn_s, max(0.0, v) / max(first, 1e-6))
+    distance = v * (turn_s + DECISION_S) + turn_s**2 * (2.0 * a - first) / 6.0
+    first_s = min(max(0.0, first_s - turn_s), after / first)
+    distance += first_s * (after - first * first_s / 2.0)
+    after -= first * first_s
+    return max(0.0, distance + after * after / (2.0 * second))
