@@ -11,6 +11,7 @@ from trimtab.host.base.errors import UsageError
 
 if TYPE_CHECKING:
     from trimtab.host.control.settings import ControllerSettings
+    from trimtab.host.effects import Effect
     from trimtab.host.route import Route
     from trimtab.host.vehicle import Vehicle
 
@@ -23,9 +24,22 @@ FOLDERS = ("vehicles", "routes", "effects", "controllers")
 
 @dataclass(frozen=True, kw_only=True)
 class Workspace:
-    """A folder in which names are looked up before the shipped files."""
+    """A folder in which names are looked up before the shipped files.
+
+    trusted: whether its code may run although others can change it.
+    """
 
     root: Path
+    trusted: bool = False
+
+    def effects(self) -> dict[str, Effect]:
+        """Return the candidate effects by name: the shipped ones, then those of the workspace.
+
+        Raises EffectError, and UntrustedError if others can change a file of the workspace.
+        """
+        from trimtab.host.effects import load_effects
+
+        return load_effects(self.root, trusted=self.trusted)
 
     def vehicle(self, name_or_path: str | Path) -> Vehicle:
         """Return the vehicle of a name or path. Raises ConfigurationError.
@@ -49,8 +63,8 @@ class Workspace:
         from trimtab.host.vehicle import ConfigurationError
 
         known: set[str] = set()
-        for root in (None, self.root):  # a faulty effect of the user's matters only if it may be the one
-            for name, effect in load_effects(root).items():
+        for load in (load_effects, self.effects):  # a faulty effect of the user's matters only if needed
+            for name, effect in load().items():
                 known |= {name, *(f"{name}.{key}" for key in effect.keys)}
             unknown = [key for key in vehicle.tolerances if key not in known]
             if not unknown:
@@ -83,19 +97,35 @@ class Workspace:
         return {path.stem.replace("_", "-"): path for path in files if not path.stem.startswith("_")}
 
 
-def open_workspace(folder: str | Path | None = None) -> Workspace:
-    """Return the workspace in `folder` or, for None, in the current folder.
+def open_workspace(folder: str | Path | Workspace | None = None, *, trusted: bool = False) -> Workspace:
+    """Return the workspace in a folder.
 
-    Its subfolders need not exist. Raises UsageError if `folder` does not exist, or if a file has the name of
-    a subfolder.
+    Parameters
+    ----------
+    folder
+        Folder. Its subfolders need not exist. A workspace is returned as it is. Default: the current folder.
+    trusted
+        Run the code in the workspace, its effects, even if others can change it.
+
+    Returns
+    -------
+    Workspace
+        What the functions take as `workspace`.
+
+    Raises
+    ------
+    UsageError
+        If the folder does not exist, or if a file has the name of a subfolder.
     """
+    if isinstance(folder, Workspace):
+        return folder
     root = Path.cwd() if folder is None else Path(folder)
     if not root.is_dir():
         raise UsageError(f"{folder}: no such folder; give --workspace an existing one")
     for name in FOLDERS:
         if (root / name).exists() and not (root / name).is_dir():
             raise UsageError(f"{root / name}: is a file where a workspace has a folder; rename it")
-    return Workspace(root=root)
+    return Workspace(root=root, trusted=trusted)
 
 
 _ROUTE = """\

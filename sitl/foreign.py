@@ -10,22 +10,24 @@ battery_v without noise. The floor is at z_ned = 0; the plant must model contact
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
 import math
 import sys
 import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import ModuleType
 from typing import Any
 
 from trimtab.host.base.errors import TrimtabError
+from trimtab.host.base.trust import read_code
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import World
 
 _PARTS = (("p_ned", 3), ("v_ned", 3), ("q_ned_frd", 4), ("rate_frd", 3), ("specific_force_frd", 3))
 _UNIT_TOLERANCE = 1e-3
+_OWN = Path(__file__).resolve().parent
 
 
 class ForeignPlantError(TrimtabError, RuntimeError):
@@ -92,11 +94,18 @@ class ForeignPlant:
 
 
 def load_foreign_plant(
-    spec: str, vehicle: Vehicle, options: Mapping[str, Any], seed: int, world: World | None = None
+    spec: str,
+    vehicle: Vehicle,
+    options: Mapping[str, Any],
+    seed: int,
+    world: World | None = None,
+    *,
+    trusted: bool = False,
 ) -> ForeignPlant:
     """Return the plant `path.py:Class`, in a world if one is given.
 
-    Raises ForeignPlantError if it cannot be built, or takes no world although one is given.
+    trusted: whether its code may run although others can change the file. Raises UntrustedError without that,
+    and ForeignPlantError if the plant cannot be built, or takes no world although one is given.
     """
     file, _, class_name = spec.rpartition(":")
     path = Path(file)
@@ -104,14 +113,14 @@ def load_foreign_plant(
         raise ForeignPlantError(f"plant {spec}: give it as path.py:Class")
     if not path.is_file():
         raise ForeignPlantError(f"plant {spec}: no such file {file}")
-    module_spec = importlib.util.spec_from_file_location(f"trimtab_plant_{path.stem}", path)
-    if module_spec is None or module_spec.loader is None:
-        raise ForeignPlantError(f"plant {spec}: {file} is not a Python file")
-    module = importlib.util.module_from_spec(module_spec)
+    source = _source(path, trusted)
+    module = ModuleType(f"trimtab_plant_{path.stem}")
+    module.__file__ = str(path)
     name = f"{path.name}:{class_name}"
-    sys.modules[module_spec.name] = module  # dataclasses in the file look up their module here
+    sys.modules[module.__name__] = module  # dataclasses in the file look up their module here
     try:
-        module_spec.loader.exec_module(module)
+        # The importing system would read the file again, or bytecode beside it.
+        exec(compile(source, str(path), "exec"), vars(module))
         maker = getattr(module, class_name)
         if world is not None and "world" not in inspect.signature(maker).parameters:
             raise ForeignPlantError(
@@ -126,6 +135,19 @@ def load_foreign_plant(
     if missing:
         raise ForeignPlantError(f"plant {name}: has no {', '.join(missing)}")
     return ForeignPlant(name, body)
+
+
+def _source(path: Path, trusted: bool) -> bytes:
+    """Return the source in a plant's file. Raises ForeignPlantError or UntrustedError."""
+    try:
+        # The package's own plants are as trusted as this line.
+        if path.resolve().is_relative_to(_OWN):
+            return path.read_bytes()
+        return read_code(path, trusted=trusted)
+    except OSError as error:
+        raise ForeignPlantError(
+            f"plant {path}: cannot be read ({error.strerror or error}); check the file"
+        ) from None
 
 
 def read_plant_options(path: str | Path | None) -> dict[str, Any]:

@@ -36,6 +36,8 @@ class Setting:
     """Whether the world was chosen. Its effects then also act with a foreign plant."""
     plant: str | None
     plant_options: Mapping[str, Any]
+    plant_trusted: bool = False
+    """Whether the plant's code may run although others can change its file."""
     start: Place
     at_port: bool = False
     """Whether the vehicle is served at a port, in real time."""

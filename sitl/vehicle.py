@@ -79,6 +79,7 @@ class SimulatedVehicle:
         flight: int = 0,
         plant: str | None = None,
         plant_options: str | None = None,
+        plant_trusted: bool = False,
         start_ned: tuple[float, float, float] = (0.0, 0.0, 0.0),
         start_yaw: float = 0.0,
         radio: Mapping[str, Any] | None = None,
@@ -100,6 +101,8 @@ class SimulatedVehicle:
             Foreign plant, path.py:Class. With `world`, it gets that world.
         plant_options
             Path of the TOML file for the foreign plant.
+        plant_trusted
+            Whether the plant's code may run although others can change its file.
         start_ned, start_yaw
             Initial position, m, and yaw, rad. The floor is at z = 0.
         radio
@@ -126,6 +129,7 @@ class SimulatedVehicle:
             is_world_named=world is not None,
             plant=plant,
             plant_options=read_plant_options(plant_options),
+            plant_trusted=plant_trusted,
             start=Place(start_ned, start_yaw),
             at_port=at_port,
         )
@@ -337,7 +341,14 @@ class SimulatedVehicle:
             return Plant(setting.vehicle, setting.world, flight)
         seed = int(flight_generator(setting.world.seed, flight, Purpose.FOREIGN_PLANT).integers(2**62))
         world = setting.world if setting.is_world_named else None
-        return load_foreign_plant(setting.plant, setting.vehicle, setting.plant_options, seed, world)
+        return load_foreign_plant(
+            setting.plant,
+            setting.vehicle,
+            setting.plant_options,
+            seed,
+            world,
+            trusted=setting.plant_trusted,
+        )
 
     def _devices(self) -> Callable[[int], None]:
         """Return the function that ticks all devices except the plant: camera, radios, flight processor."""

@@ -41,6 +41,7 @@ if TYPE_CHECKING:
     from trimtab.host.trace.decision.findings import LogsRefused
     from trimtab.host.trace.result import Trace
     from trimtab.host.vehicle import ConfigurationError
+    from trimtab.host.workspace import open_workspace
 
 _HOMES = {
     "ConfigurationError": "vehicle",
@@ -71,6 +72,7 @@ _HOMES = {
     "load_effects": "api.load",
     "load_route": "api.load",
     "load_vehicle": "api.load",
+    "open_workspace": "workspace",
     "plan": "api.plan",
     "predict": "api.predict",
     "read_flight": "log",
@@ -113,6 +115,7 @@ __all__ = [
     "load_effects",
     "load_route",
     "load_vehicle",
+    "open_workspace",
     "plan",
     "predict",
     "read_flight",

@@ -51,8 +51,9 @@ _ARRAYS = (
     Mocap, Estimate, Control, Observer, Status, LinkHealth, HostControl, RecordedInputs, RecordedImu, Battery
 )  # fmt: skip
 _ORDER = (
-    "load_vehicle", "load_route", "load_effects", "plan", "write_plan", "read_reference", "sample", "fly",
-    "import_log", "read_flight", "trace", "write_trace", "predict", "learn", "read_model", "write_model",
+    "open_workspace", "load_vehicle", "load_route", "load_effects", "plan", "write_plan", "read_reference",
+    "sample", "fly", "import_log", "read_flight", "trace", "write_trace", "predict", "learn", "read_model",
+    "write_model",
 )  # fmt: skip
 """Functions in the order of the work."""
 

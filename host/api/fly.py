@@ -58,7 +58,7 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     autopilot: str | None = None,
     ask: Ask | None = None,
     confirmed: bool = False,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
     command: Sequence[str] | None = None,
     on_phase: Callable[[str], None] = lambda _: None,
 ) -> FlightResult:
@@ -156,8 +156,14 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     from trimtab.host.link.simulated import Simulation, fly_simulated
 
     path = Path(reference)
+    space = open_workspace(workspace)
     simulation = Simulation(
-        world=world, world_seed=world_seed, plant=plant, plant_options=plant_options, realtime=realtime
+        world=world,
+        world_seed=world_seed,
+        plant=plant,
+        plant_options=plant_options,
+        plant_trusted=space.trusted,
+        realtime=realtime,
     )
     _check(simulation, port, mocap, mocap_delay_ms, min(seed, world_seed, flight or 0))
     kind = None if autopilot is None else autopilot_kind(autopilot)
@@ -173,7 +179,6 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         }
         _check_autopilot(given, asks=port is None or confirmed or ask is not None)
     index = _flight_index(path, flight, any_log=log is not None or force)
-    space = open_workspace(workspace)
     airframe = vehicle_of(vehicle, space)
     blob = read_reference(path)
     forward = None if feedforward is None else read_feedforward(feedforward)
@@ -315,7 +320,6 @@ def _flown_by(
         if model is not None:
             raise UsageError("--model needs --controller: it is the model that the controller predicts with")
         return FlownBy()
-    from trimtab.host.effects import load_effects
     from trimtab.host.link.controllers import flown_by
     from trimtab.host.models.accepted import accepted_model
 
@@ -328,7 +332,7 @@ def _flown_by(
         vehicle,
         feedforward=has_feedforward,
         model=accepted,
-        effects=load_effects(space.root),
+        effects=space.effects(),
     )
 
 

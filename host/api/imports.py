@@ -195,7 +195,7 @@ def import_log(  # noqa: PLR0913 (one keyword for each choice)
     topics: str | Path | None = None,
     scrub: bool = False,
     force: bool = False,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
     command: Sequence[str] = (),
 ) -> Imported:
     """Convert a foreign flight log to a Trimtab log, as `trimtab import` does.

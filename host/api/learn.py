@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Literal
 
 from trimtab.host.base.errors import UsageError
-from trimtab.host.workspace import open_workspace
+from trimtab.host.workspace import Workspace, open_workspace
 
 if TYPE_CHECKING:
     from trimtab.host.effects import Effect
@@ -37,7 +37,7 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
     as_asked: bool = False,
     seed: int = 0,
     jobs: int | None = None,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
     command: Sequence[str] = (),
     on_epoch: Callable[[int, float], None] | None = None,
 ) -> Learned:
@@ -105,7 +105,6 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
 
     check_jobs(jobs)
     from trimtab.host.base import artefacts
-    from trimtab.host.effects import load_effects
     from trimtab.host.learn import learn as learn_model
     from trimtab.host.log import log_parents
     from trimtab.host.models.accepted import accepted_model
@@ -123,7 +122,7 @@ def learn(  # noqa: PLR0913 (one keyword for each choice)
         any_heading=any_heading,
         seed=seed,
     )
-    library = load_effects(open_workspace(workspace).root) if effects is None else effects
+    library = open_workspace(workspace).effects() if effects is None else effects
     base, parents = None, log_parents(flights, held_out)
     if model is not None:
         base = accepted_model(model, accept_undecided, vehicle_id=flights[0].vehicle.id)

@@ -13,7 +13,7 @@ if TYPE_CHECKING:
     from trimtab.host.vehicle import Vehicle
 
 
-def load_effects(workspace: str | Path | None = None) -> dict[str, Effect]:
+def load_effects(workspace: str | Path | Workspace | None = None) -> dict[str, Effect]:
     """Return the candidate effects by name: the shipped ones, then those of the workspace.
 
     Parameters
@@ -33,12 +33,10 @@ def load_effects(workspace: str | Path | None = None) -> dict[str, Effect]:
     EffectError
         If an effect file of the workspace cannot be used.
     """
-    from trimtab.host.effects import load_effects as load
-
-    return load(open_workspace(workspace).root)
+    return open_workspace(workspace).effects()
 
 
-def load_vehicle(vehicle: str | Path, workspace: str | Path | None = None) -> Vehicle:
+def load_vehicle(vehicle: str | Path, workspace: str | Path | Workspace | None = None) -> Vehicle:
     """Return a vehicle: mass, inertia, rotors, limits, gains and tolerances in SI units, frame FRD.
 
     Parameters
@@ -64,7 +62,7 @@ def load_vehicle(vehicle: str | Path, workspace: str | Path | None = None) -> Ve
 
 
 def load_route(
-    route: str | Path, workspace: str | Path | None = None, vehicle: Vehicle | None = None
+    route: str | Path, workspace: str | Path | Workspace | None = None, vehicle: Vehicle | None = None
 ) -> Route:
     """Return a route: waypoints in NED in metres, times in seconds, heading, limits and obstacles.
 

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from trimtab.host.api.load import vehicle_of
 from trimtab.host.base.errors import UsageError
-from trimtab.host.workspace import DEFAULT_VEHICLE, open_workspace
+from trimtab.host.workspace import DEFAULT_VEHICLE, Workspace, open_workspace
 
 if TYPE_CHECKING:
     from trimtab.host.models.model import Model
@@ -76,7 +76,7 @@ def plan_task(  # noqa: PLR0913 (one keyword for each choice)
     clearance_m: float | None = None,
     nodes: int | None = None,
     settings: Settings | None = None,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
     command: Sequence[str] = (),
 ) -> PlanTask:
     """Return what is to be planned, with all files read. See `plan`. Raises UsageError."""
@@ -90,11 +90,10 @@ def plan_task(  # noqa: PLR0913 (one keyword for each choice)
     target = space.route(route, airframe) if by_name else route
     content, effects, residual = None, None, ResidualModel()
     if model is not None:
-        from trimtab.host.effects import load_effects
         from trimtab.host.models.accepted import accepted_model
 
         content = accepted_model(model, accept_undecided, vehicle_id=airframe.id)
-        effects = load_effects(space.root)
+        effects = space.effects()
         try:
             residual = ResidualModel.of(content, effects)
         except ValueError as error:
@@ -136,7 +135,7 @@ def plan(  # noqa: PLR0913 (one keyword for each choice)
     clearance_m: float | None = None,
     nodes: int | None = None,
     settings: Settings | None = None,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
 ) -> Plan:
     """Return a checked plan for a route, as `trimtab plan` makes it.
 

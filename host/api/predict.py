@@ -11,6 +11,7 @@ if TYPE_CHECKING:
     from trimtab.host.effects import Effect
     from trimtab.host.log import Flight
     from trimtab.host.models.model import Model
+    from trimtab.host.workspace import Workspace
 
 
 def predict(
@@ -20,7 +21,7 @@ def predict(
     accept_undecided: bool = False,
     effects: Mapping[str, Effect] | None = None,
     jobs: int | None = None,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
 ) -> Prediction:
     """Say how well a model predicts flights, beside the nominal model of the same vehicle.
 

@@ -34,7 +34,7 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     vehicle: Vehicle | str | Path | None = None,
     network: bool = True,
     jobs: int | None = None,
-    workspace: str | Path | None = None,
+    workspace: str | Path | Workspace | None = None,
     command: Sequence[str] = (),
     on_progress: Callable[[str], None] = lambda _: None,
 ) -> Trace:
@@ -83,7 +83,6 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     check_jobs(jobs)
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import UsageError
-    from trimtab.host.effects import load_effects
     from trimtab.host.log import log_parents
     from trimtab.host.trace.run import run
 
@@ -94,7 +93,7 @@ def trace(  # noqa: PLR0913 (one keyword for each choice)
     return run(
         flights,
         held_out,
-        load_effects(space.root) if effects is None else effects,
+        space.effects() if effects is None else effects,
         baseline=baseline,
         vehicle=stated,
         manoeuvres=lambda: flyable(space, stated or flights[0].vehicle),

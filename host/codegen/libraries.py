@@ -2,7 +2,8 @@
 
 The cache is a directory for each key, the hash of everything that determines a library: its source, the
 compiler, its flags, and for native code the processor. A library's name is the hash of its content. So one
-that is cut short, was damaged, or is another machine's is never loaded but compiled anew.
+that is cut short, was damaged, or is another machine's is never loaded but compiled anew. Neither is one that
+others can change (`trimtab.host.base.trust`): a folder of this process takes the place of such a cache.
 """
 
 from __future__ import annotations
@@ -17,19 +18,28 @@ import tempfile
 import threading
 from collections.abc import Callable
 from contextlib import suppress
-from functools import cache
 from pathlib import Path
 from typing import TypeVar
 
+from trimtab.host.base.errors import TrimtabError
 from trimtab.host.base.text import readable
+from trimtab.host.base.trust import UntrustedError, distrust, read_library
 from trimtab.host.codegen.compiler import CodegenError, Compiler, flags, processor, run_compiler, warn_once
 
 T = TypeVar("T")
 
 _uncached: dict[str, list[Path]] = {}
 """Libraries by key that this process has compiled and the cache has not."""
+_temporary_folders: list[Path] = []
+"""Folders of this process for libraries, the one in use last."""
 _compiling = threading.RLock()
 """Held while a library is found or compiled, so that threads that need the same one do not all compile it."""
+
+
+class CacheError(TrimtabError):
+    """There is no folder in which compiled code can be kept. The text says why."""
+
+    exit_code = 2
 
 
 def load_library(
@@ -75,51 +85,80 @@ def library_key(key: str, compiler: Compiler, *, native: bool = False) -> str:
     return hashlib.sha256("\0".join(parts).encode()).hexdigest()[:32]
 
 
+def writable_cache() -> Path:
+    """Return the directory of compiled libraries, like `cache_directory`.
+
+    Raises CacheError if nothing can be kept there.
+    """
+    path = _trusted_cache()
+    try:
+        with tempfile.TemporaryFile(dir=path):
+            return path
+    except OSError as error:
+        raise CacheError(str(error)) from None
+
+
 def cache_directory() -> Path:
     """Return the directory of compiled libraries: XDG_CACHE_HOME or ~/.cache, then trimtab/codegen.
 
-    Where it cannot be made, return one that is deleted when this process ends.
+    It is made if missing. Where it cannot be made or others can change it, return one that is deleted when
+    this process ends.
     """
     try:
-        return _made_cache()
-    except (OSError, RuntimeError) as error:
-        _warn_of_cache(error)
+        return _trusted_cache()
+    except CacheError as error:
+        _warn_of_cache(str(error))
         return _temporary()
 
 
-def writable_cache() -> Path:
-    """Return the cache's directory. Raises OSError or RuntimeError if nothing can be written there."""
-    path = _made_cache()
-    with tempfile.TemporaryFile(dir=path):
-        return path
+def _trusted_cache() -> Path:
+    """Return the directory of compiled libraries, made. Raises CacheError if it cannot be used."""
+    try:
+        path = _cache_path()
+        _make_private(path)
+        reason = distrust(path)
+    except (OSError, RuntimeError) as error:  # RuntimeError: a user without a home
+        raise CacheError(str(error)) from None
+    if reason is not None:
+        raise CacheError(reason)
+    return path
 
 
-def _made_cache() -> Path:
-    """Return the cache's directory, made. Raises OSError, or RuntimeError for a user without a home."""
+def _cache_path() -> Path:
+    """Return where the cache belongs. Raises RuntimeError for a user without a home."""
     base = os.environ.get("XDG_CACHE_HOME", "")
     root = Path(base) if os.path.isabs(base) else Path.home() / ".cache"
-    path = root / "trimtab" / "codegen"
-    path.mkdir(parents=True, exist_ok=True)
-    return path
+    return root / "trimtab" / "codegen"
 
 
-@cache
+def _make_private(folder: Path) -> None:
+    """Make a folder and those above it that are missing, for this user alone."""
+    if not folder.is_dir():
+        _make_private(folder.parent)
+        folder.mkdir(mode=0o700, exist_ok=True)
+
+
 def _temporary() -> Path:
     """Return a directory that is deleted when this process ends. Raises CodegenError if there is none."""
-    try:
-        path = Path(tempfile.mkdtemp(prefix="trimtab-"))
-    except OSError as error:
-        raise CodegenError(f"no room for compiled code: {error}") from None
-    atexit.register(shutil.rmtree, path, ignore_errors=True)
-    return path
+    if not (_temporary_folders and _temporary_folders[-1].is_dir()):
+        try:
+            path = Path(tempfile.mkdtemp(prefix="trimtab-"))
+        except OSError as error:
+            raise CodegenError(f"no room for compiled code: {error}") from None
+        atexit.register(shutil.rmtree, path, ignore_errors=True)
+        _temporary_folders.append(path)
+    return _temporary_folders[-1]
 
 
 def _whole_libraries(folder: Path) -> list[Path]:
-    """Return the libraries of this directory whose content has the hash in their name."""
-    try:
-        return [path for path in sorted(folder.glob("*.so")) if path.stem == _content_hash(path.read_bytes())]
-    except OSError:  # it cannot be read: compile it again
-        return []
+    """Return the trusted libraries of this directory whose content has the hash in their name."""
+    libraries = []
+    with suppress(OSError):  # it cannot be read: compile it again
+        for path in sorted(folder.glob("*.so")):
+            with suppress(UntrustedError):
+                if path.stem == _content_hash(read_library(path)):
+                    libraries.append(path)
+    return libraries
 
 
 def _publish(library: Path, name: str) -> Path:
@@ -130,15 +169,15 @@ def _publish(library: Path, name: str) -> Path:
     content = library.read_bytes()
     try:
         return _written(content, cache_directory() / name)
-    except OSError as error:
-        _warn_of_cache(error)
+    except (OSError, UntrustedError) as error:
+        _warn_of_cache(error.reason if isinstance(error, UntrustedError) else str(error))
         _uncached[name] = [_written(content, _temporary() / name)]
         return _uncached[name][0]
 
 
 def _written(content: bytes, folder: Path) -> Path:
     """Write a library under the name of its content and return its path."""
-    folder.mkdir(exist_ok=True)
+    _make_private(folder)
     path = folder / f"{_content_hash(content)}.so"
     handle, temporary = tempfile.mkstemp(prefix=".", dir=folder)
     try:
@@ -146,6 +185,7 @@ def _written(content: bytes, folder: Path) -> Path:
             file.write(content)
         os.chmod(temporary, 0o644)
         os.replace(temporary, path)
+        read_library(path)  # the folder may belong to somebody else
     except OSError:
         with suppress(OSError):
             os.unlink(temporary)
@@ -157,5 +197,9 @@ def _content_hash(content: bytes) -> str:
     return hashlib.sha256(content).hexdigest()[:32]
 
 
-def _warn_of_cache(error: BaseException) -> None:
-    warn_once("cache", f"no cache of compiled code, so each run compiles it anew: {readable(str(error))}")
+def _warn_of_cache(reason: str) -> None:
+    warn_once(
+        "cache",
+        f"no cache of compiled code, so each run compiles it anew: {reason}; set XDG_CACHE_HOME to a "
+        "folder that only you can write to",
+    )

@@ -13,7 +13,6 @@ from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.compare.logs import FlightFigures, LogsComparison, compare_logs, read_figures
 from trimtab.host.compare.models import ModelsComparison, compare_models
 from trimtab.host.compare.plans import PlansComparison, plan_figures
-from trimtab.host.effects import load_effects
 from trimtab.host.link.blob_files import read_reference
 from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.models.file import read_model
@@ -78,7 +77,7 @@ def compare(a: Path, b: Path, space: Workspace) -> Comparison:
     logs, flown, notes = _logs(first["logs"], second["logs"], a, b)
     models, plans, unpaired = [], [], []
     pairs, alone = _paired(first["models"], second["models"])
-    effects = load_effects(space.root) if pairs else {}
+    effects = space.effects() if pairs else {}
     for one, other in pairs:
         models.append(compare_models(read_model(one), read_model(other), one, other, effects))
     unpaired += alone

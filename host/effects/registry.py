@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import dataclasses
 import hashlib
-import importlib.util
 from collections.abc import Mapping
 from pathlib import Path
+from types import ModuleType
 
 from trimtab.host.base.errors import TrimtabError
+from trimtab.host.base.trust import read_code
 from trimtab.host.effects import flat_imports, trial
 from trimtab.host.effects.effect import Effect
 
@@ -30,7 +31,7 @@ class EffectError(TrimtabError, ValueError):
     exit_code = 2
 
 
-def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
+def load_effects(workspace: Path | str | None = None, *, trusted: bool = False) -> dict[str, Effect]:
     """Return all effects by name: the shipped ones, then those of the workspace, each sorted by name.
 
     A file defines one effect as `EFFECT`. Its name is that of the file, with hyphens instead of underscores.
@@ -39,17 +40,23 @@ def load_effects(workspace: Path | str | None = None) -> dict[str, Effect]:
     ----------
     workspace
         Folder that may hold a folder `effects`; None for the shipped effects only.
+    trusted
+        Whether its code may run although others can change it.
 
     Raises
     ------
+    UntrustedError
+        If others can change a file of the workspace and it is not trusted.
     EffectError
         If a file does not define its effect, a slot returns wrong numbers, a workspace file takes a shipped
         name, or an effect refers to an unknown effect.
     """
-    effects = {effect.name: effect for effect in _read_folder(Path(__file__).parent)}
+    shipped = ((path, path.read_bytes()) for path in _files(Path(__file__).parent))
+    effects = {effect.name: effect for effect in (_read_effect(*file) for file in shipped)}
     folder = None if workspace is None else Path(workspace) / "effects"
     if folder is not None and folder.is_dir():
-        for effect in _read_folder(folder):
+        for path in _files(folder):
+            effect = _read_effect(path, read_code(path, trusted=trusted))
             if effect.name in effects:
                 raise EffectError(
                     f"effects/{_stem(effect.name)}.py: {effect.name} is a shipped effect; rename it"
@@ -83,22 +90,20 @@ def _stem(name: str) -> str:
     return name.replace("-", "_")
 
 
-def _read_folder(folder: Path) -> list[Effect]:
-    files = sorted(path for path in folder.glob("*.py") if path.stem not in _NOT_EFFECTS)
-    return [_read_file(path) for path in files]
+def _files(folder: Path) -> list[Path]:
+    return sorted(path for path in folder.glob("*.py") if path.stem not in _NOT_EFFECTS)
 
 
-def _read_file(path: Path) -> Effect:
+def _read_effect(path: Path, source: bytes) -> Effect:
+    """Return the effect that a file defines whose content is `source`."""
     label = f"effects/{path.name}"
-    source = path.read_bytes()
     digest = hashlib.sha256(source.replace(b"\r\n", b"\n")).hexdigest()[:12]
-    spec = importlib.util.spec_from_file_location(f"trimtab_effect_{path.stem}_{digest}", path)
-    if spec is None or spec.loader is None:
-        raise EffectError(f"{label}: not a Python file")
-    module = importlib.util.module_from_spec(spec)
+    module = ModuleType(f"trimtab_effect_{path.stem}_{digest}")
+    module.__file__ = str(path)
     try:
         with flat_imports.accepted(label, source):
-            spec.loader.exec_module(module)
+            # The importing system would read the file again, or bytecode beside it.
+            exec(compile(source, str(path), "exec"), vars(module))
     except Exception as error:  # any exception of a user's file is an error of that file
         raise EffectError(f"{label}: {type(error).__name__}: {error}") from error
     effect = getattr(module, "EFFECT", None)

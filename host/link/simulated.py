@@ -20,7 +20,8 @@ class Simulation:
     """What is simulated. No artefact but the sealed truth may hold any of it.
 
     world, plant_options: name or path; None for the default. plant: path.py:Class, in the world, if any.
-    realtime: whether it keeps to the wall clock.
+    plant_trusted: whether the plant's code may run although others can change its file. realtime: whether it
+    keeps to the wall clock.
     """
 
     world: str | Path | None
@@ -28,6 +29,7 @@ class Simulation:
     plant: str | None
     plant_options: str | Path | None
     realtime: bool
+    plant_trusted: bool = False
 
     @property
     def is_default(self) -> bool:
@@ -51,6 +53,7 @@ def fly_simulated(
         flight=flight,
         plant=simulation.plant,
         plant_options=None if options is None else str(options),
+        plant_trusted=simulation.plant_trusted,
         start_ned=(first[0], first[1], 0.0),
         start_yaw=request.reference.yaw_nodes()[0].yaw,
         key=None if request.key is None else request.key.key,

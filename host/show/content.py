@@ -12,7 +12,6 @@ import numpy as np
 
 from trimtab.host.base.artefacts import LOG_SUFFIX
 from trimtab.host.base.errors import UsageError
-from trimtab.host.effects import load_effects
 from trimtab.host.link.blob_files import read_reference
 from trimtab.host.log import LogError, partial_path
 from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
@@ -74,7 +73,7 @@ def read_content(inputs: Sequence[Path], space: Workspace, vehicle: Vehicle | No
     files = _sorted(inputs)
     shown, notes = _read_logs(files)
     references = [(path, read_reference(path)) for path in files.references]
-    effects = load_effects(space.root) if files.models else {}
+    effects = space.effects() if files.models else {}
     models = [model_facts(read_model(path), path, effects) for path in files.models]
     total_us = sum(s.span_us[1] - s.span_us[0] for _, s in shown)
     step_us = step_for(total_us + sum(reference.duration_us for _, reference in references))

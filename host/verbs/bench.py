@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
-from trimtab.host.verbs.options import Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Json, Trust, VehicleName, WorkspaceFolder
 from trimtab.host.workspace import DEFAULT_VEHICLE
 
 
@@ -17,6 +17,7 @@ def command(
     courses: int | None = None,
     peers: bool = False,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Measure the speed of learning, planning, control, tracing and simulation, and plans' tracking error.
@@ -56,7 +57,7 @@ def command(
         if courses is not None:
             raise UsageError("--courses: --peers plans no random courses; leave one of them out")
         size, controlled = size.peers_alone(), controlled.peers_alone()
-    craft = open_workspace(workspace).vehicle(vehicle)
+    craft = open_workspace(workspace, trusted=trust).vehicle(vehicle)
     steps = len(learning.GRADIENT_STEPS if peers else learning.STEPS) + size.steps + len(control.STEPS)
     steps += 0 if peers else flights.steps + traces.steps
     found = machine.measure()

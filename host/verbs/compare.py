@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trimtab.host.verbs.options import Json, WorkspaceFolder
+from trimtab.host.verbs.options import Json, Trust, WorkspaceFolder
 
 
-def command(a: Path, b: Path, *, workspace: WorkspaceFolder = None, json: Json = False) -> None:
+def command(
+    a: Path, b: Path, *, workspace: WorkspaceFolder = None, trust: Trust = False, json: Json = False
+) -> None:
     """Compare two logs, models or plans, or two folders of them. Differences are B minus A.
 
     Parameters
@@ -22,7 +24,7 @@ def command(a: Path, b: Path, *, workspace: WorkspaceFolder = None, json: Json =
     from trimtab.host.compare.comparison_words import lines, notes
     from trimtab.host.workspace import open_workspace
 
-    result = compare(a, b, open_workspace(workspace))
+    result = compare(a, b, open_workspace(workspace, trusted=trust))
     for note in notes(result):
         warn(note)
     say(*lines(result))

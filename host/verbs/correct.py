@@ -7,7 +7,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, Trust, WorkspaceFolder
 
 
 def command(
@@ -17,6 +17,7 @@ def command(
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     accept_undecided: AcceptUndecided = False,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     json: Json = False,
     force: Force = False,
 ) -> None:
@@ -34,13 +35,12 @@ def command(
     from trimtab.host.base import artefacts
     from trimtab.host.base.errors import GateMissed, UsageError
     from trimtab.host.base.output import emit, say
-    from trimtab.host.effects import load_effects
     from trimtab.host.models.accepted import accepted_model
     from trimtab.host.models.correction import SUFFIX, check_name, correction, write_correction
     from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
     from trimtab.host.workspace import open_workspace
 
-    space = open_workspace(workspace)
+    space = open_workspace(workspace, trusted=trust)
     content = accepted_model(model, accept_undecided)
     airframe = space.vehicle(content.vehicle_name if vehicle is None else vehicle)
     if airframe.id != content.vehicle_id:
@@ -50,7 +50,7 @@ def command(
         )
     target = check_name(output or Path(model.name.removesuffix(MODEL_SUFFIX) + SUFFIX), force)
     try:
-        made = correction(content, airframe, load_effects(space.root))
+        made = correction(content, airframe, space.effects())
     except ValueError as error:
         raise UsageError(f"{model}: {error}; give the folder with its effects with --workspace") from None
     named = {name: how for name, how in made.corrected.items() if name not in content.adjustments}

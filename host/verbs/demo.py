@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from trimtab.host.verbs.options import Force, Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Output, Trust, VehicleName, WorkspaceFolder
 from trimtab.host.workspace import DEFAULT_VEHICLE
 
 FOLDER = "trimtab-demo"
@@ -17,6 +17,7 @@ def command(
     vehicle: VehicleName = DEFAULT_VEHICLE,
     output: Output = None,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     json: Json = False,
     force: Force = False,
 ) -> None:
@@ -44,7 +45,7 @@ def command(
     begin_s = time.perf_counter()
     if seed < 0:
         raise UsageError(f"--seed {seed} is negative; give 0 or more")
-    space = open_workspace(workspace)
+    space = open_workspace(workspace, trusted=trust)
     airframe = space.vehicle(vehicle)
     folder = free_folder(space.root, output, force)
     jobs, world = cores(), world or WORLD
@@ -55,12 +56,11 @@ def command(
         from trimtab.host.api.trace import flyable
         from trimtab.host.apps.demo import report
         from trimtab.host.apps.demo.session import DemoRequest, run_demo
-        from trimtab.host.effects import load_effects
         from trimtab.host.trace.words import result_lines
 
         outcome = run_demo(
             DemoRequest(vehicle=airframe, folder=folder, seed=seed, world=world, force=force),
-            load_effects(space.root),
+            space.effects(),
             pool,
             on_message=say,
             manoeuvres=lambda: flyable(space, airframe),

@@ -15,10 +15,11 @@ from trimtab.host.verbs.options import (
     Json,
     KeyFile,
     Output,
+    Trust,
     VehicleName,
     WorkspaceFolder,
 )
-from trimtab.host.workspace import DEFAULT_VEHICLE
+from trimtab.host.workspace import DEFAULT_VEHICLE, open_workspace
 
 if TYPE_CHECKING:
     from trimtab.host.link.summary import FlightResult
@@ -103,6 +104,7 @@ class FlyOptions:
     force: Force = False
     json: Json = False
     workspace: WorkspaceFolder = None
+    trust: Trust = False
 
 
 DEFAULTS = FlyOptions()
@@ -167,7 +169,7 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
                 autopilot=options.autopilot,
                 ask=ask,
                 confirmed=options.yes,
-                workspace=options.workspace,
+                workspace=open_workspace(options.workspace, trusted=options.trust),
                 command=sys.argv[1:],
                 on_phase=on_phase,
             )

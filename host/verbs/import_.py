@@ -8,13 +8,13 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Trust, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.api.imports import ForeignLog, Imported, Visible
 
 
-def command(
+def command(  # noqa: PLR0913 (one keyword for each option)
     *words: Annotated[str, Parameter(name="[FORMAT] FILE", show_default=False)],
     output: Annotated[Path | None, Parameter(name=["-o", "--output"])] = None,
     columns: Path | None = None,
@@ -22,6 +22,7 @@ def command(
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     scrub: bool = False,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     json: Json = False,
     force: Force = False,
 ) -> None:
@@ -47,6 +48,7 @@ def command(
     from trimtab.host.api.imports import ForeignLog, import_log
     from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit
+    from trimtab.host.workspace import open_workspace
 
     if len(words) not in (1, 2):
         raise UsageError("give one file, as in trimtab import FILE or trimtab import FORMAT FILE")
@@ -64,7 +66,7 @@ def command(
         topics=topics,
         scrub=scrub,
         force=force,
-        workspace=workspace,
+        workspace=open_workspace(workspace, trusted=trust),
         command=sys.argv[1:],
     )
     _print(imported)

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from cyclopts import Parameter
 
 from trimtab.host.api.learn import Frame, Method, learn, learning_settings
-from trimtab.host.verbs.options import AcceptUndecided, Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import AcceptUndecided, Force, Json, Trust, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.learn import Judged, Learned
@@ -78,6 +78,7 @@ class LearnOptions:
     seed: int = 0
     jobs: int | None = None
     workspace: WorkspaceFolder = None
+    trust: Trust = False
     json: Json = False
     force: Force = False
 
@@ -108,6 +109,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     from trimtab.host.learn import CondensedSettings
     from trimtab.host.log import read_flight
     from trimtab.host.models.file import SUFFIX, write_model
+    from trimtab.host.workspace import open_workspace
 
     if not logs:
         raise UsageError("no log given; name one or more flight logs")
@@ -132,6 +134,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     if not options.output.name.endswith(SUFFIX):
         raise UsageError(f"{options.output}: give the model a name that ends in {SUFFIX}")
     artefacts.check_output(options.output, options.force)
+    effects = open_workspace(options.workspace, trusted=options.trust).effects()
     began = monotonic()
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
@@ -143,7 +146,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
             accept_undecided=options.accept_undecided,
             as_asked=options.as_asked,
             jobs=options.jobs,
-            workspace=options.workspace,
+            effects=effects,
             command=sys.argv[1:],
             on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
             **choices,

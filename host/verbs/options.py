@@ -33,6 +33,15 @@ WorkspaceFolder = Annotated[
     ),
 ]
 
+Trust = Annotated[
+    bool,
+    Parameter(
+        name="--trust",
+        negative="",
+        help="Run the code of a workspace or plant even if other users can change it.",
+    ),
+]
+
 AcceptUndecided = Annotated[
     bool,
     Parameter(name="--accept-undecided", negative="", help="Also use a model whose verdict is undecided."),

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 
 from trimtab.host.api.plan import PlanTask, plan_task
 from trimtab.host.verbs.plan_options import PlanOptions
+from trimtab.host.workspace import open_workspace
 
 if TYPE_CHECKING:
     from trimtab.host.plan.result import Plan
@@ -45,7 +46,7 @@ def command(route: str, *, options: PlanOptions = DEFAULTS) -> None:
         headroom=options.headroom,
         clearance_m=options.clearance,
         nodes=options.nodes,
-        workspace=options.workspace,
+        workspace=open_workspace(options.workspace, trusted=options.trust),
         command=sys.argv[1:],
     )
     if options.pareto:

@@ -13,6 +13,7 @@ from trimtab.host.verbs.options import (
     Force,
     Json,
     Output,
+    Trust,
     VehicleName,
     WorkspaceFolder,
 )
@@ -84,3 +85,4 @@ class PlanOptions:
     force: Force = False
     json: Json = False
     workspace: WorkspaceFolder = None
+    trust: Trust = False

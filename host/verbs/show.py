@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Trust, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.show.content import Content
@@ -21,6 +21,7 @@ def command(
     html: Annotated[Path | None, Parameter(name="--html")] = None,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     force: Force = False,
     json: Json = False,
 ) -> None:
@@ -49,7 +50,7 @@ def command(
     if target.suffix != PAGE_SUFFIX:
         raise UsageError(f"{target}: give the page a name that ends in {PAGE_SUFFIX}")
     artefacts.check_output(target, force)
-    space = open_workspace(workspace)
+    space = open_workspace(workspace, trusted=trust)
     content = read_content(inputs, space, None if vehicle is None else space.vehicle(vehicle))
     artefacts.write_atomic(target, page(content), force)
     say(*_lines(content, target))

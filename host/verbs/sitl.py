@@ -13,7 +13,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Force, Json, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Trust, VehicleName, WorkspaceFolder
 from trimtab.host.workspace import DEFAULT_VEHICLE
 
 if TYPE_CHECKING:
@@ -65,6 +65,7 @@ class SitlOptions:
     force: Force = False
     json: Json = False
     workspace: WorkspaceFolder = None
+    trust: Trust = False
 
 
 DEFAULTS = SitlOptions()
@@ -94,6 +95,7 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
             flight=options.flight,
             plant=options.plant,
             plant_options=options.plant_options,
+            plant_trusted=options.trust,
             start_ned=(*options.start, 0.0),
             memory=options.memory,
             at_port=True,
@@ -129,7 +131,7 @@ def _check(options: SitlOptions) -> Vehicle:
         raise UsageError("a seed or flight index is negative; give 0 or more")
     if not all(map(math.isfinite, start)):
         raise UsageError(f"--start {start[0]:g} {start[1]:g} is not a position; give two numbers in m")
-    vehicle = open_workspace(options.workspace).vehicle(options.vehicle)
+    vehicle = open_workspace(options.workspace, trusted=options.trust).vehicle(options.vehicle)
     fence = vehicle.limits.geofence_m
     for axis, position, (low, high) in zip(("north", "east"), start, fence, strict=False):
         if not low <= position <= high:

@@ -9,7 +9,7 @@ from typing import Annotated, Any
 
 from cyclopts import Parameter
 
-from trimtab.host.verbs.options import Json, Output, VehicleName, WorkspaceFolder
+from trimtab.host.verbs.options import Json, Output, Trust, VehicleName, WorkspaceFolder
 from trimtab.host.workspace import DEFAULT_VEHICLE
 
 REPORT_NAME, JSON_NAME = "report.html", "report.json"
@@ -74,6 +74,7 @@ class StudyOptions:
     merge: tuple[Path, ...] = ()
     output: Output = None
     workspace: WorkspaceFolder = None
+    trust: Trust = False
     json: Json = False
 
 
@@ -140,7 +141,7 @@ def command(name: str, flights: Path | None = None, *, options: StudyOptions = D
         },
         name,
     )
-    space = open_workspace(options.workspace)
+    space = open_workspace(options.workspace, trusted=options.trust)
     space.vehicle(options.vehicle)
     file = Path(options.vehicle)
     label = str(options.seed) if options.secret is None else options.secret.stem

@@ -8,9 +8,8 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from trimtab.host.api.load import load_vehicle
 from trimtab.host.api.trace import FILES, JSON_NAME, MODEL_NAME, REPORT_NAME, trace, write_trace
-from trimtab.host.verbs.options import Force, Json, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Trust, WorkspaceFolder
 
 
 @Parameter(name="*")
@@ -43,6 +42,7 @@ class TraceOptions:
     network: Annotated[bool, Parameter(negative="--no-network")] = True
     jobs: int | None = None
     workspace: WorkspaceFolder = None
+    trust: Trust = False
     json: Json = False
     force: Force = False
 
@@ -70,15 +70,17 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
     from trimtab.host.base.progress import Progress
     from trimtab.host.log import read_flight
     from trimtab.host.trace.words import result_lines
+    from trimtab.host.workspace import open_workspace
 
     if not logs:
         raise UsageError("no log given; name one or more flight logs")
     for name, named in (("--hold-out", options.hold_out), ("--baseline", options.baseline)):
         if named is not None and not named:
             raise UsageError(f"{name} names no log; give one or more or leave it out")
-    vehicle = None
-    if options.vehicle is not None:  # before the logs are read
-        vehicle = load_vehicle(options.vehicle, options.workspace)
+    # Before the logs are read.
+    space = open_workspace(options.workspace, trusted=options.trust)
+    vehicle = None if options.vehicle is None else space.vehicle(options.vehicle)
+    effects = space.effects()
     if options.output is not None:
         artefacts.check_folder(options.output, FILES, options.force)
     flights = [read_flight(path) for path in logs]
@@ -92,7 +94,8 @@ def command(*logs: Path, options: TraceOptions = DEFAULTS) -> None:
             vehicle=vehicle,
             network=options.network,
             jobs=options.jobs,
-            workspace=options.workspace,
+            effects=effects,
+            workspace=space,
             command=sys.argv[1:],
             on_progress=lambda step: progress.advance(0.0, step),
         )

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import App, Parameter
 
-from trimtab.host.verbs.options import Force, Json, Output, WorkspaceFolder
+from trimtab.host.verbs.options import Force, Json, Output, Trust, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.vehicle.typical import Facts
@@ -134,6 +134,7 @@ def check(
     *,
     vehicle: Annotated[str | None, Parameter(name="--vehicle")] = None,
     workspace: WorkspaceFolder = None,
+    trust: Trust = False,
     json: Json = False,
 ) -> None:
     """Check whether a vehicle file fits a flight log. The exit code is 1 if it does not.
@@ -152,7 +153,7 @@ def check(
     from trimtab.host.vehicle.log_check import check_flight
     from trimtab.host.workspace import open_workspace
 
-    chosen = None if vehicle is None else open_workspace(workspace).vehicle(vehicle)
+    chosen = None if vehicle is None else open_workspace(workspace, trusted=trust).vehicle(vehicle)
     flight = read_flight(log)
     result = check_flight(flight, chosen)
     name = (chosen or flight.vehicle).name

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 from pathlib import Path
 
@@ -171,3 +172,41 @@ def test_workspace_pages_files_are_planned_with(workspace: Path, capsys: pytest.
     # The waypoints are 1.2 to 3.6 m from the anchor; between them the plan stays nearer, as the page says.
     assert 0.5 * (1.2 - 0.5) < snap["residual_rms_m_s2"] < 0.5 * (3.7 - 0.5)
     assert residual["residual_rms_m_s2"] < 0.8 * snap["residual_rms_m_s2"]
+
+
+@pytest.fixture
+def strange(tmp_path: Path) -> Path:
+    """A workspace with an effect whose code prints, of another user."""
+    if os.geteuid() != 0:
+        pytest.skip("gives files to another user, which needs root")
+    source = (Path(load_effects.__code__.co_filename).parent / "torque_bias.py").read_text(encoding="utf-8")
+    path = tmp_path / "lab" / "effects" / "own_bias.py"
+    path.parent.mkdir(parents=True)
+    path.write_text(source.replace('name="torque-bias"', 'name="own-bias"') + "print('it ran')\n")
+    for each in (path, *path.parents[:2]):
+        os.chown(each, 65534, -1)
+    return tmp_path / "lab"
+
+
+@pytest.mark.parametrize("words", [["trace", "none.mcap"], ["learn", "none.mcap"], ["doctor"]])
+def test_workspace_of_another_user_is_refused_without_trust(
+    words: list[str], strange: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = main([*words, "--workspace", str(strange)])
+    printed = capsys.readouterr()
+    assert "it ran" not in printed.out
+    line = next(text for text in (printed.out + printed.err).splitlines() if "own_bias" in text)
+    assert "belongs to nobody" in line
+    assert "--trust" in line
+    if words == ["doctor"]:
+        assert code == 1
+    else:
+        assert (code, printed.err.count("\n")) == (2, 1)
+
+
+def test_workspace_of_another_user_runs_with_trust(strange: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    assert main(["doctor", "--workspace", str(strange), "--trust"]) == 0
+    printed = capsys.readouterr()
+    assert "it ran" in printed.out
+    assert printed.err == f"trimtab: runs the code in {strange / 'effects' / 'own_bias.py'}\n"
+    assert "own-bias" in open_workspace(strange, trusted=True).effects()

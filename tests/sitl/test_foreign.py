@@ -3,10 +3,13 @@
 from __future__ import annotations
 
 import math
+import os
+import sys
 from pathlib import Path
 
 import pytest
 
+from trimtab.host.base.trust import UntrustedError
 from trimtab.host.vehicle import load_vehicle
 from trimtab.sitl.foreign import ForeignPlant, ForeignPlantError, load_foreign_plant, read_plant_options
 
@@ -136,3 +139,44 @@ def test_plants_attitude_convention_is_the_simulators() -> None:
     for _ in range(300):
         plant.step((0.46, 0.46, 0.46, 0.46))
     assert plant.pose[4] > 0.05
+
+
+_PLANT = """
+class P:
+    value = 1
+    def __init__(self, vehicle, options, seed): pass
+    reset = step = state = lambda self, *_: None
+"""
+
+
+def test_plant_of_the_users_is_named_before_it_runs(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    path = tmp_path / "own.py"
+    path.write_text("print('ran')" + _PLANT)
+    for _ in range(2):
+        load_foreign_plant(f"{path}:P", load_vehicle("research"), {}, 1)
+    assert capsys.readouterr().err == f"trimtab: runs the code in {path}\n"
+
+
+def test_plant_that_others_can_change_runs_only_if_trusted(tmp_path: Path) -> None:
+    path = tmp_path / "own.py"
+    path.write_text(_PLANT)
+    path.chmod(0o666)
+    with pytest.raises(UntrustedError, match=r"own\.py: not run, everybody can write to .*--trust"):
+        load_foreign_plant(f"{path}:P", load_vehicle("research"), {}, 1)
+    load_foreign_plant(f"{path}:P", load_vehicle("research"), {}, 1, trusted=True)
+
+
+def test_plant_does_not_run_from_bytecode_beside_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    import importlib.util
+    import py_compile
+
+    path = tmp_path / "own.py"
+    path.write_text(_PLANT.replace("value = 1", "value = 2"))
+    status = path.stat()
+    py_compile.compile(str(path), cfile=importlib.util.cache_from_source(str(path)))
+    path.write_text(_PLANT)
+    os.utime(path, ns=(status.st_atime_ns, status.st_mtime_ns))
+    load_foreign_plant(f"{path}:P", load_vehicle("research"), {}, 1)
+    assert sys.modules["trimtab_plant_own"].P.value == 1

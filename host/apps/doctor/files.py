@@ -9,25 +9,24 @@ from pathlib import Path
 from trimtab.host.apps.doctor.check import Check
 from trimtab.host.apps.doctor.machine import room
 from trimtab.host.base.errors import TrimtabError, UsageError
-from trimtab.host.effects import load_effects
 from trimtab.host.workspace import FOLDERS, Workspace, open_workspace
 
 
-def workspace(folder: Path | None) -> list[Check]:
+def workspace(folder: Path | None, *, trusted: bool = False) -> list[Check]:
     """Return the check of the workspace, and one for each thing that is wrong with its files.
 
-    Effects are loaded, which runs their code.
+    Effects are loaded, which runs their code. trusted: also if others can change their files.
     """
     name = "workspace"
     try:
-        space = open_workspace(folder)
+        space = open_workspace(folder, trusted=trusted)
     except UsageError as error:
         return [Check(name=name, status="problem", text=str(error))]
     checks = [_found(name, space), _output(space)]
     for part, check in _readers(space).items():
         for path in sorted((space.root / part).glob("*.toml")):
             checks += _faults(part, check, path)
-    return checks + _faults("effects", load_effects, space.root)
+    return checks + _faults("effects", lambda _: space.effects(), space.root)
 
 
 def _found(name: str, space: Workspace) -> Check:

@@ -16,7 +16,7 @@ from trimtab.host.codegen.compiler import (
     vector_instructions,
     wanted_compiler,
 )
-from trimtab.host.codegen.libraries import writable_cache
+from trimtab.host.codegen.libraries import CacheError, writable_cache
 from trimtab.host.codegen.simd import PRELUDE, lane_count
 
 FREE_MIN_BYTES = 1 << 30
@@ -57,9 +57,9 @@ def cache() -> Check:
     name = "cache"
     try:
         path = writable_cache()
-    except (OSError, RuntimeError) as error:
+    except CacheError as error:
         text = f"compiled code cannot be kept, so each run compiles it anew: {error}"
-        remedy = "make the folder writable, or set XDG_CACHE_HOME to another one"
+        remedy = "set XDG_CACHE_HOME to a folder that only you can write to"
         return Check(name=name, status="note", text=text, remedy=remedy)
     return Check(name=name, status="ok", text=str(path))
 

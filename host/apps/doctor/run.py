@@ -8,15 +8,16 @@ from pathlib import Path
 from trimtab.host.apps.doctor.check import Check
 
 
-def all_checks(workspace: Path | None) -> list[Check]:
+def all_checks(workspace: Path | None, *, trusted: bool = False) -> list[Check]:
     """Return the checks of Python, packages, compiled code, files and ports.
 
-    workspace: its folder; None for the current one.
+    workspace: its folder; None for the current one. trusted: whether its code may run although others can
+    change it.
     """
     return [
         *_done("python", _python),
         *_done("compiled code", _compiled),
-        *_done("workspace", lambda: _workspace(workspace)),
+        *_done("workspace", lambda: _workspace(workspace, trusted)),
         *_done("ports", _ports),
     ]
 
@@ -42,10 +43,10 @@ def _compiled() -> Iterable[Check]:
     return [machine.compiled_code(), machine.cache(), machine.temporary_files()]
 
 
-def _workspace(folder: Path | None) -> Iterable[Check]:
+def _workspace(folder: Path | None, trusted: bool) -> Iterable[Check]:
     from trimtab.host.apps.doctor import files
 
-    return files.workspace(folder)
+    return files.workspace(folder, trusted=trusted)
 
 
 def _ports() -> Iterable[Check]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import ctypes
 import errno
 import os
+import shutil
+import stat
 import subprocess
 import sys
 from pathlib import Path
@@ -26,6 +28,7 @@ def cache(tmp_path, monkeypatch):
     monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path / "cache"))
     monkeypatch.setattr(compiler_module, "_warned", set())
     monkeypatch.setattr(module, "_uncached", {})
+    monkeypatch.setattr(module, "_temporary_folders", [])
     return tmp_path / "cache" / "trimtab" / "codegen"
 
 
@@ -183,3 +186,61 @@ def test_two_processes_that_compile_the_same_both_load_it(cache, tmp_path, requi
     ]
     assert [process.communicate()[0] for process in both] == ["3\n", "3\n"]
     assert len([path for path in cache.rglob("*") if path.is_file()]) == 1
+
+
+@pytest.mark.parametrize("place", ["", "trimtab", "trimtab/codegen"])
+def test_cache_that_others_can_change_is_not_used_and_one_line_says_so(
+    cache, counted, tmp_path, monkeypatch, capsys, place
+):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    compiler, compiled = counted
+    assert _three(compiler) == 3
+    (tmp_path / "cache" / place).chmod(0o777)
+    held = sorted(cache.rglob("*"))
+    for _ in range(2):
+        assert _three(compiler) == 3
+    assert compiled() == 2
+    assert sorted(cache.rglob("*")) == held
+    line = capsys.readouterr().err
+    assert line.count("\n") == 1
+    assert f"everybody can write to {tmp_path / 'cache' / place}" in line
+    assert stat.S_IMODE(cache_directory().stat().st_mode) == 0o700
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="gives files to another user, which needs root")
+@pytest.mark.parametrize("which", ["library", "key", "cache"])
+def test_library_of_another_user_is_compiled_anew(cache, counted, tmp_path, monkeypatch, capsys, which):
+    monkeypatch.setenv("HOME", str(tmp_path / "home"))
+    compiler, compiled = counted
+    assert _three(compiler) == 3
+    (library,) = cache.rglob("*.so")
+    strange = {"library": library, "key": library.parent, "cache": cache}[which]
+    os.chown(strange, 65534, -1)
+    assert _three(compiler) == 3
+    assert compiled() == 2
+    told = capsys.readouterr().err
+    assert ("" if which == "library" else "belongs to") in told
+    assert told.count("\n") == (which != "library")
+
+
+def test_cache_is_made_for_this_user_alone(cache, counted):
+    old = os.umask(0)
+    try:
+        assert _three(counted[0]) == 3
+    finally:
+        os.umask(old)
+    for folder in (cache, cache.parent, cache.parent.parent):
+        assert stat.S_IMODE(folder.stat().st_mode) == 0o700
+
+
+def test_cache_and_folder_of_the_process_that_vanish_are_made_anew(
+    cache, counted, tmp_path, monkeypatch, capsys
+):
+    compiler, _ = counted
+    assert _three(compiler) == 3
+    shutil.rmtree(tmp_path / "cache")
+    for folder in module._temporary_folders:
+        shutil.rmtree(folder)
+    assert _three(compiler) == 3
+    assert len(list(cache.rglob("*.so"))) == 1
+    assert capsys.readouterr().err == ""
