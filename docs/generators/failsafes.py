@@ -137,15 +137,15 @@ zero, or stops and then continues.
 
 With SET_ATTITUDE_TARGET no position is held. Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR.
 Every 10 ms the vehicle predicts where a stop would end that began now, from its speed, its acceleration, and
-the thrust and tilt that are left. If that is more than `FS_FENCE_M` outside the fence, or on the floor at over
-{impact:g} m/s, it lands in place at once. The same prediction applies to a vehicle that is more than
+the thrust and tilt that are left. If that is more than `FS_FENCE_M` outside the fence, or on the floor at
+over {impact:g} m/s, it lands in place at once. The same prediction applies to a vehicle that is more than
 {off_track:g} m from its reference. A body rate that turns the vehicle over high above the floor still ends
 with the motors off (TILT).
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
 would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes harder: sideways up to a tilt of
-{tilt:g} deg (at most LIM_TILT_DEG), in a climb with {rising:.0%} of what gravity gives above THRUST_FLOOR,
-in a descent with {share:.0%} of its greatest thrust.
+{tilt:g} deg (at most LIM_TILT_DEG), in a climb with {rising:.0%} of what gravity gives above
+THRUST_FLOOR, in a descent with {share:.0%} of its greatest thrust.
 
 A landing from a height sinks at up to {fast:g} m/s, and at `LAND_SPEED` from {slow:g} m above the floor.
 """

@@ -30,10 +30,11 @@ def main() -> None:
         with ProcessPoolExecutor(2) as pool:
             outcomes = list(pool.map(_fly, flights, chunksize=4))
         print(
-            f"{name}: {len(outcomes)} flights; at most {max(each.above_m for each in outcomes):.2f} m above the "
-            f"ceiling, {max(each.past_m for each in outcomes):.2f} m past a wall; impact "
+            f"{name}: {len(outcomes)} flights; at most {max(each.above_m for each in outcomes):.2f} m above "
+            f"the ceiling, {max(each.past_m for each in outcomes):.2f} m past a wall; impact "
             f"{max(each.impact_m_s for each in outcomes):.2f} m/s; motors off at "
-            f"{max(each.motors_off_m for each in outcomes):.2f} m; on the floor after {_longest_s(outcomes)} s"
+            f"{max(each.motors_off_m for each in outcomes):.2f} m; "
+            f"on the floor after {_longest_s(outcomes)} s"
         )
 
 

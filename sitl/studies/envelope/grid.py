@@ -22,8 +22,9 @@ class Outcome:
     """What a flight came to.
 
     above_m, past_m: greatest distance above the ceiling and past the walls; negative inside. impact_m_s:
-    speed at the hardest touch of the floor. motors_off_m: greatest height at which the rotors stopped. down_s:
-    time from the failsafe, or from the last setpoint without one, to the floor; None if it was not reached.
+    speed at the hardest touch of the floor. motors_off_m: greatest height at which the rotors stopped.
+    down_s: time from the failsafe, or from the last setpoint without one, to the floor; None if it was not
+    reached.
     failsafe: whether a failsafe ended the flight.
     """
 
