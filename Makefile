@@ -70,6 +70,7 @@ docs: $(READY)
 	$(PYTHON) docs/generators/effects.py docs/reference/effects.md
 	$(PYTHON) docs/generators/manoeuvres.py docs/reference/manoeuvres.md
 	$(PYTHON) docs/generators/rules.py docs/reference/tracing-rules.md
+	$(PYTHON) docs/generators/bounds.py docs/reference/bounds.md
 	$(PYTHON) docs/generators/failsafes.py docs/reference/failsafes.md
 	$(PYTHON) docs/generators/api.py docs/reference/python.md
 	$(PYTHON) -m trimtab.sitl.studies.upload_picture docs/concepts/upload.svg

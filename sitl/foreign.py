@@ -13,15 +13,16 @@ from __future__ import annotations
 import inspect
 import math
 import sys
-import tomllib
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 from types import ModuleType
 from typing import Any
 
+from trimtab.host.base import bounds
 from trimtab.host.base.errors import TrimtabError
 from trimtab.host.base.trust import read_code
-from trimtab.host.vehicle import Vehicle
+from trimtab.host.vehicle import ConfigurationError, Vehicle
+from trimtab.host.vehicle.strict_toml import parse_toml
 from trimtab.protocol.telemetry import TICK_US
 from trimtab.sitl.draw import World
 
@@ -155,8 +156,10 @@ def read_plant_options(path: str | Path | None) -> dict[str, Any]:
     if path is None:
         return {}
     try:
-        return tomllib.loads(Path(path).read_text(encoding="utf-8"))
-    except (OSError, ValueError, RecursionError) as error:
+        return parse_toml(bounds.read_text(Path(path), bounds.TOML_BYTES), str(path))
+    except ConfigurationError as error:
+        raise ForeignPlantError(f"plant options {error}") from None
+    except (OSError, ValueError) as error:
         raise ForeignPlantError(f"plant options {path}: {error}") from None
 
 

@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 from pydantic import Field, ValidationInfo, create_model, field_validator
 
+from trimtab.host.base import bounds
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 from trimtab.protocol.telemetry import TICK_US
@@ -321,7 +322,9 @@ def load_world(name_or_path: str | Path) -> tuple[str, WorldFile]:
             [f"{text}: no such world (known: {', '.join(shipped)}); give one or a path to a .toml"]
         )
     try:
-        content = path.read_text(encoding="utf-8")
+        content = bounds.read_text(path, bounds.TOML_BYTES)
+    except bounds.TooLarge as error:
+        raise ConfigurationError([f"{text}: {error}"]) from None
     except (OSError, UnicodeDecodeError) as error:
         raise ConfigurationError([f"{text}: cannot be read ({error}); check the file"]) from None
     return path.stem, read_strict(content, text, WorldFile)

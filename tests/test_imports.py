@@ -51,6 +51,7 @@ ALLOWED: dict[str, tuple[str, ...]] = {
 """Package to what of ours it may import; the longest matching name decides."""
 
 EDGES: dict[str, tuple[str, ...]] = {
+    "apsw": ("host.imports.formats.bag_bounds",),
     "casadi": (
         "host.apps.bench.naive",
         "host.apps.bench.naive_mpc",
@@ -74,6 +75,7 @@ EDGES: dict[str, tuple[str, ...]] = {
     "jax": ("host.apps.bench.jax_loop", "host.apps.bench.jax_rollouts"),
     "jinja2": ("host.report",),
     "matplotlib": ("host.report", "host.verbs"),
+    "lz4": ("host.imports.formats.bag_bounds",),
     "mcap": ("host.log",),
     "mcap_protobuf": ("host.log",),
     "minsnap_trajectories": ("host.apps.bench.snap_peer",),

@@ -5,14 +5,13 @@ Only headers, metadata and records are read: no flight is decoded and no weights
 
 from __future__ import annotations
 
-import json
 import shlex
-import tomllib
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal
 
+from trimtab.host.base import bounds
 from trimtab.host.base.artefacts import content_id, public_command, record_path
 from trimtab.host.base.errors import UsageError
 from trimtab.host.log.heading import read_heading
@@ -28,6 +27,7 @@ from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.route.files import list_routes, parse_route
 from trimtab.host.vehicle import list_vehicles
 from trimtab.host.vehicle.files import parse_vehicle
+from trimtab.host.vehicle.strict_toml import parse_toml
 from trimtab.protocol.blob_fields import kind_of, unpack_header
 from trimtab.protocol.blobs import BlobError, Kind, blob_id, least_bytes
 
@@ -116,7 +116,10 @@ def _log(path: Path) -> Artefact:
 
 
 def _blob(path: Path) -> Artefact:
-    data = path.read_bytes()
+    try:
+        data = bounds.read_bounded(path, bounds.BLOB_BYTES)
+    except bounds.TooLarge as error:
+        raise LineageError(f"{path}: {error}") from None
     try:
         kind = kind_of(data)
         vehicle = unpack_header(data, kind, versions=range(256)).vehicle_id
@@ -193,8 +196,8 @@ def _model(path: Path) -> Artefact:
 
 def _configuration(path: Path) -> Artefact | None:
     """Return a vehicle or route; None for another TOML file, such as a world, of which only keys are read."""
-    text = path.read_text(encoding="utf-8", errors="replace")
     content = _toml(path)
+    text = path.read_text(encoding="utf-8")
     if "rotors" in content and "mass_kg" in content:
         vehicle = parse_vehicle(text, str(path))
         return Artefact(path=path, name=path.name, kind="vehicle", id=vehicle.id, parents={})
@@ -244,14 +247,14 @@ def _option(command: str, name: str) -> str | None:
 
 def _object(path: Path) -> Mapping[str, Any]:
     try:
-        content = json.loads(path.read_bytes())
-    except (ValueError, RecursionError):
+        content = bounds.read_json(path)
+    except ValueError:
         raise LineageError(f"{path}: is not JSON; make it again") from None
     return content if isinstance(content, dict) else {}
 
 
 def _toml(path: Path) -> Mapping[str, Any]:
     try:
-        return tomllib.loads(path.read_text(encoding="utf-8"))
-    except (ValueError, RecursionError):
+        return parse_toml(bounds.read_text(path, bounds.TOML_BYTES), str(path))
+    except ValueError:
         raise LineageError(f"{path}: is not TOML; correct it or make it again") from None

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from pathlib import Path
 
+from trimtab.host.base import bounds
 from trimtab.host.base.errors import UsageError
 from trimtab.protocol.blobs import Blob, BlobError, FeedForward, Reference, from_bytes
 
@@ -12,7 +12,9 @@ from trimtab.protocol.blobs import Blob, BlobError, FeedForward, Reference, from
 def read_blob(path: str | Path) -> Blob:
     """Return the blob in a file. Raises UsageError naming the file and what is wrong in it."""
     try:
-        data = Path(path).read_bytes()
+        data = bounds.read_bounded(Path(path), bounds.BLOB_BYTES)
+    except bounds.TooLarge as error:
+        raise UsageError(f"{path}: not a reference or feed-forward: {error}") from None
     except OSError as error:
         raise UsageError(f"{path}: cannot be read ({error.strerror}); check the file") from error
     try:
@@ -60,7 +62,7 @@ def model_of(path: str | Path) -> str | None:
     """Return the id of the model behind the plan in `path`, from its provenance file; None if it has none."""
     provenance_path = Path(f"{path}.json")
     try:
-        content = json.loads(provenance_path.read_text(encoding="utf-8"))
+        content = bounds.read_json(provenance_path)
         model = content.get("provenance", content)["parents"]["model"]
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         return None

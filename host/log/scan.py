@@ -21,14 +21,12 @@ from mcap.opcode import Opcode
 from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
+from trimtab.host.base.bounds import LOG_CONTENT, LOG_MESSAGES, LOG_RECORD_BYTES, Bound
 from trimtab.host.log.errors import LogError, foreign_log
 from trimtab.host.log.file_time import file_units_per_us
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
 from trimtab.host.log.writer import partial_path
-
-CHUNK_LIMIT_BYTES = 64 * 2**20
-"""Trimtab's chunks are far smaller; a greater length means damage."""
 
 _DAMAGE = (
     McapError,  # EndOfFile, InvalidMagic, RecordLengthLimitExceeded
@@ -58,7 +56,7 @@ class Scan:
     """Undamaged content of a file: schemas and channels by number, messages in file order, provenance.
 
     `whole`: the writer closed the file and nothing in it is damaged. Otherwise, `damage` describes the first
-    problem. `chunks` counts the undamaged chunks; damaged ones are left out.
+    problem. `chunks` counts the undamaged chunks, `content_bytes` what is in them; damaged ones are left out.
     """
 
     path: Path
@@ -67,6 +65,7 @@ class Scan:
     whole: bool = False
     damage: str = ""
     chunks: int = 0
+    content_bytes: int = 0
     schemas: dict[int, Schema] = field(default_factory=dict)
     channels: dict[int, Channel] = field(default_factory=dict)
     messages: list[Entry] = field(default_factory=list)
@@ -112,7 +111,7 @@ def scan(path: Path) -> Scan:
     reader = StreamReader(
         BytesIO(_without_message_indexes(content)),
         emit_chunks=True,
-        record_size_limit=min(len(content), CHUNK_LIMIT_BYTES),
+        record_size_limit=min(len(content), LOG_RECORD_BYTES.limit),
     )
     chunks: list[Chunk] = []
     errors: list[BaseException] = []
@@ -170,7 +169,7 @@ def _take_record(result: Scan, record: object) -> None:
 
 def _data_of(chunk: Chunk) -> bytes:
     """Return the uncompressed bytes of a chunk. Raises ValueError if it contradicts itself."""
-    if chunk.uncompressed_size > CHUNK_LIMIT_BYTES:
+    if chunk.uncompressed_size > LOG_RECORD_BYTES.limit:
         raise ValueError(f"a chunk of {chunk.uncompressed_size} bytes")
     if chunk.compression == "zstd":
         # The frame states its size too, and the decompressor allocates what it states.
@@ -201,7 +200,7 @@ def take_grown(result: Scan, data: bytes) -> int:
     while offset + _RECORD.size <= len(data) and not result.whole:
         opcode, length = _RECORD.unpack_from(data, offset)
         end = offset + _RECORD.size + length
-        if length > CHUNK_LIMIT_BYTES:
+        if length > LOG_RECORD_BYTES.limit:
             raise LogError(f"{result.path}: holds a record of {length} bytes; the file is damaged")
         if end > len(data):
             break
@@ -214,15 +213,21 @@ def take_grown(result: Scan, data: bytes) -> int:
                     _take_record(result, record)
             except _DAMAGE as error:
                 raise LogError(f"{result.path}: damaged ({type(error).__name__}: {error})") from error
+        result.size += end - offset
         offset = end
     return offset
 
 
 def _take_chunk(result: Scan, chunk: Chunk) -> None:
-    """Add a complete chunk, or raise one of _DAMAGE and add nothing."""
+    """Add a complete chunk, or raise one of _DAMAGE and add nothing.
+
+    Raises LogError beyond a bound of the whole file.
+    """
     data = _data_of(chunk)
+    _check_amount(result, LOG_CONTENT, result.content_bytes + len(data))
     messages: list[Entry] = []
     channels, head = result.channels, _MESSAGE.size
+    most = LOG_MESSAGES.limit_of(result.size) - len(result.messages)
     per_us = file_units_per_us(result.metadata.get(PROVENANCE, {}))
     for opcode, start, end in _records(data):
         if opcode == Opcode.MESSAGE:
@@ -233,10 +238,21 @@ def _take_chunk(result: Scan, chunk: Chunk) -> None:
                 raise ValueError(f"a message of channel {channel_id}, which is not declared")
             body = data[start + head : end]
             messages.append(Entry(channel_id, sequence, log_time // per_us, publish_time // per_us, body))
+            if len(messages) > most:
+                break
         elif opcode in (Opcode.SCHEMA, Opcode.CHANNEL):
             _take_record(result, _framed_record(data[start - _RECORD.size : end]))
+    _check_amount(result, LOG_MESSAGES, len(result.messages) + len(messages))
     result.messages.extend(messages)
     result.chunks += 1
+    result.content_bytes += len(data)
+
+
+def _check_amount(result: Scan, bound: Bound, amount: int) -> None:
+    """Raise LogError if so much is beyond the bound for this file."""
+    limit = bound.limit_of(result.size)
+    if amount > limit:
+        raise LogError(f"{result.path}: {bound.problem(limit=limit)}")
 
 
 def _records(data: bytes) -> Iterator[tuple[int, int, int]]:

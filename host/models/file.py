@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import zipfile
+import zlib
 from collections.abc import Mapping
+from io import BytesIO
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from trimtab.host.base import artefacts
+from trimtab.host.base import artefacts, bounds
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.text import file_name
 from trimtab.host.models.model import Assessment, Covariance, Model, VerdictCode, network_digest
@@ -157,7 +159,9 @@ def read_model(path: Path | str, *, vehicle_id: str | None = None) -> Model:
     """
     path = Path(path)
     try:
-        text = path.read_text(encoding="utf-8")
+        text = bounds.read_text(path, bounds.TOML_BYTES)
+    except bounds.TooLarge as error:
+        raise ModelFileError(f"{path}: {error}") from None
     except (OSError, UnicodeDecodeError) as error:
         reason = error.strerror if isinstance(error, OSError) else "not UTF-8 text"
         raise ModelFileError(
@@ -209,18 +213,19 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
     if Path(table.file).name != table.file:
         raise ModelFileError(f"{path.name}: network.file {table.file!r} must be a name in the same folder")
     weights = path.with_name(file_name(table.file))
+    layout = Layout(hidden=table.hidden, frame=table.frame)
     try:
-        with np.load(weights, allow_pickle=False) as archive:
-            xi = np.asarray(archive["xi"], dtype=float)
+        xi = _read_weights(weights, layout.size)
     except FileNotFoundError:
         raise ModelFileError(
             f"{weights}: missing, put the weights of {path.name} back beside it or learn it anew"
         ) from None
-    except (OSError, EOFError, KeyError, ValueError, zipfile.BadZipFile) as error:
+    except bounds.TooLarge as error:
+        raise ModelFileError(f"{weights}: {error}") from None
+    except (OSError, EOFError, KeyError, ValueError, NotImplementedError, *_ARCHIVE_ERRORS) as error:
         raise ModelFileError(
             f"{weights}: the weights of {path.name} cannot be read ({error}); learn it anew"
         ) from error
-    layout = Layout(hidden=table.hidden, frame=table.frame)
     try:
         network = Network(layout=layout, xi=xi)
     except ValueError as error:
@@ -230,3 +235,29 @@ def _read_network(path: Path, table: _NetworkTable) -> Network:
     if network_digest(network) != table.sha256:
         raise ModelFileError(f"{table.file}: not the weights {path.name} was written with")
     return network
+
+
+_ARCHIVE_ERRORS = (zipfile.BadZipFile, zlib.error, RuntimeError)
+
+
+def _read_weights(path: Path, count: int) -> np.ndarray:
+    """Return the array `xi` of an archive that numpy wrote, read no further than `count` weights need.
+
+    Sizes that the archive and the array declare may be false, so they decide nothing. Raises ModelFileError,
+    TooLarge, OSError, EOFError, KeyError, ValueError, NotImplementedError or _ARCHIVE_ERRORS.
+    """
+    archive = zipfile.ZipFile(BytesIO(bounds.read_bounded(path, bounds.WEIGHTS_BYTES)))
+    with archive.open("xi.npy") as stream:
+        version = np.lib.format.read_magic(stream)
+        if version != (1, 0):
+            raise ValueError(f"version {version[0]}.{version[1]} of the array's format")
+        shape, _, dtype = np.lib.format.read_array_header_1_0(stream)
+        if shape != (count,) or dtype.kind != "f":
+            raise ModelFileError(
+                f"{path}: xi: {dtype} of shape {shape}, not {count} numbers; put the weights of the model "
+                "back beside it or learn it anew"
+            )
+        content = stream.read(count * dtype.itemsize + 1)
+    if len(content) != count * dtype.itemsize:
+        raise ValueError(f"xi: another length than {count} numbers")
+    return np.frombuffer(content, dtype).astype(float)

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base import artefacts
+from trimtab.host.base import artefacts, bounds
 from trimtab.host.plan.result import Plan
 from trimtab.host.route import Route
 
@@ -92,7 +92,7 @@ def read_predicted_error_m(path: Path | str, reference_id: str) -> float | None:
 
 def _record(path: Path | str, reference_id: str) -> Any:
     """Return the content of `NAME.ref.json`. Raises OSError, ValueError, KeyError or TypeError."""
-    record = json.loads(artefacts.record_path(Path(path)).read_text(encoding="utf-8"))
+    record = bounds.read_json(artefacts.record_path(Path(path)))
     if record["reference"] != reference_id:
         raise ValueError(f"{path}: the record is of another reference")
     return record

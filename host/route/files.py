@@ -10,6 +10,7 @@ from typing import Annotated, Any, Self
 
 from pydantic import Field, model_validator
 
+from trimtab.host.base.bounds import WAYPOINTS
 from trimtab.host.route.checks import TIME_MAX_S, check_route
 from trimtab.host.route.gates import Gate
 from trimtab.host.route.generators import FigureEight, RandomWaypoints
@@ -30,7 +31,7 @@ class RouteFile(Strict):
 
     name: Name
     description: str | None = None
-    waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)] | None = None
+    waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2, max_length=WAYPOINTS.limit)] | None = None
     figure_eight: FigureEight | None = None
     random: RandomWaypoints | None = None
     closed: bool = False
@@ -84,6 +85,8 @@ class RouteFile(Strict):
         if not self.closed:
             return validate(fields | self._drawn_time(fields["waypoints_m"]), source, Route)
         lap, laps = fields["waypoints_m"], self.laps or 1
+        if len(lap) * laps > WAYPOINTS.limit:
+            raise ConfigurationError([f"{source}: laps: {WAYPOINTS.problem(len(lap) * laps)}"])
         fields["waypoints_m"] = (*lap, lap[0])
         whole = self._drawn_time((*lap * laps, lap[0]))
         return flown(validate(fields | whole, source, Route), laps)

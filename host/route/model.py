@@ -10,6 +10,7 @@ from typing import Annotated, Self
 
 from pydantic import Field, field_validator, model_validator
 
+from trimtab.host.base.bounds import WAYPOINTS
 from trimtab.host.route.gates import Gate
 from trimtab.host.route.shapes import Shape
 from trimtab.host.vehicle.canonical_toml import write_toml
@@ -105,7 +106,7 @@ class Route(Strict):
     """
 
     name: Name
-    waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2)]
+    waypoints_m: Annotated[tuple[Vector3, ...], Field(min_length=2, max_length=WAYPOINTS.limit)]
     times_s: tuple[float, ...] | None = None
     total_time_s: Positive | None = None
     yaw: YawProfile = YawProfile()

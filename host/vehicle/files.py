@@ -5,6 +5,7 @@ from __future__ import annotations
 from importlib.resources import files
 from pathlib import Path
 
+from trimtab.host.base import bounds
 from trimtab.host.vehicle.model import Vehicle, hover_problem
 from trimtab.host.vehicle.parameters import parameter_problems
 from trimtab.host.vehicle.strict_toml import ConfigurationError, parse_toml, validate
@@ -78,7 +79,9 @@ def find_file(name_or_path: str | Path, folder: str, workspace: Path | None, *, 
 def read_text(path: Path) -> str:
     """Return a file's text. Raises ConfigurationError if it cannot be read or is not UTF-8."""
     try:
-        return path.read_text(encoding="utf-8")
+        return bounds.read_text(path, bounds.TOML_BYTES)
+    except bounds.TooLarge as error:
+        raise ConfigurationError([f"{shown(path)}: {error}"]) from None
     except UnicodeDecodeError as error:
         raise ConfigurationError(
             [f"{shown(path)}: not UTF-8 text at byte {error.start}; save it as UTF-8"]

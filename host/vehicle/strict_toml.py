@@ -6,6 +6,7 @@ One problem is one line, `file: key.path: problem; remedy`. Vehicles, routes and
 from __future__ import annotations
 
 import difflib
+import re
 import tomllib
 from collections.abc import Iterator, Sequence
 from typing import Any, TypeVar
@@ -13,6 +14,7 @@ from typing import Any, TypeVar
 from pydantic import BaseModel, ConfigDict, ValidationError
 from pydantic_core import ErrorDetails
 
+from trimtab.host.base.bounds import TOML_BYTES, TOML_DEPTH
 from trimtab.host.base.errors import TrimtabError
 
 
@@ -37,6 +39,10 @@ class Strict(BaseModel):
 
 
 ModelT = TypeVar("ModelT", bound=BaseModel)
+_DEEP_KEY = re.compile(
+    rf"""(?<![\w-])(?:(?:[\w-]+|"[^"\n]*"|'[^'\n]*')[ \t]*\.[ \t]*){{{TOML_DEPTH.limit}}}""", re.ASCII
+)
+"""A key of more parts than allowed, wherever it stands."""
 
 
 def parse_toml(text: str, source: str) -> dict[str, Any]:
@@ -45,13 +51,18 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     Raises ConfigurationError with `source`, line and column, or with the keys of integers beyond 64 bits,
     which TOML does not guarantee and no field needs.
     """
+    if len(text) > TOML_BYTES.limit:
+        raise ConfigurationError([f"{source}: {TOML_BYTES.problem(len(text))}"])
+    if _DEEP_KEY.search(text):  # the parser's work grows with the square of the parts
+        raise ConfigurationError([f"{source}: not valid TOML: {TOML_DEPTH.problem()}"])
     try:
         data = tomllib.loads(text)
     except ValueError as error:  # a TOMLDecodeError, or an integer of thousands of digits
         raise ConfigurationError([f"{source}: not valid TOML: {error}; correct the syntax"]) from None
     except RecursionError:
-        problem = f"{source}: not valid TOML: brackets nested hundreds deep; correct the syntax"
-        raise ConfigurationError([problem]) from None
+        raise ConfigurationError([f"{source}: not valid TOML: {TOML_DEPTH.problem()}"]) from None
+    if _depth(data) > TOML_DEPTH.limit:
+        raise ConfigurationError([f"{source}: {TOML_DEPTH.problem(_depth(data))}"])
     too_large = [
         f"{source}: {path}: a whole number beyond 64 bits; write a smaller one"
         for path, value in _leaves(data)
@@ -60,6 +71,15 @@ def parse_toml(text: str, source: str) -> dict[str, Any]:
     if too_large:
         raise ConfigurationError(too_large)
     return data
+
+
+def _depth(data: dict[str, Any]) -> int:
+    """Return how many tables and lists are inside each other in plain data."""
+    depth, level = 0, [*data.values()]
+    while level := [value for value in level if isinstance(value, dict | list)]:
+        depth += 1
+        level = [item for each in level for item in (each.values() if isinstance(each, dict) else each)]
+    return depth
 
 
 def _leaves(value: Any, path: str = "") -> Iterator[tuple[str, Any]]:

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import get_args
 
 import pytest
-from generators import api, effects, failsafes, rules
+from generators import api, bounds, effects, failsafes, rules
 from google.protobuf.message import Message
 
 from trimtab.firmware_model.services.files import FILES
@@ -75,6 +75,10 @@ def test_correction_page_says_how_every_effect_is_corrected_or_why_not() -> None
 
 def test_rules_page_is_the_one_the_code_makes() -> None:
     assert text_of("tracing-rules.md") == rules.page(table_of_rules()), "run `make docs`"
+
+
+def test_bounds_page_is_the_one_the_code_makes() -> None:
+    assert text_of("bounds.md") == bounds.page(), "run `make docs`"
 
 
 def test_failsafes_page_is_the_one_the_code_makes() -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.bounds import DATAFLASH_JUNK, DATAFLASH_MESSAGES
 from trimtab.host.base.extras import quiet
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.formats.ulog import UNKNOWN
@@ -23,6 +24,9 @@ from trimtab.host.vehicle.dumps import ARDUPILOT_QUADS
 
 MARK = b"\xa3\x95\x80"
 """Head of the first message, which defines the format of the messages that define formats."""
+
+_BLOCK_BYTES = 1 << 24
+_LONGEST_BYTES = 255
 
 DEG = np.pi / 180.0
 POSITION = tuple(Source(topic=name, fields=("PN", "PE", "PD")) for name in ("XKF1", "NKF1", "EKF1"))
@@ -106,6 +110,7 @@ def _corners(log: TopicLog) -> tuple[Corner, Corner, Corner, Corner]:
 def _log(path: Path) -> TopicLog:
     """Return the messages with quantities, and the parameters."""
     check_readable(path)
+    _check_amounts(path)
     quantities = (POSITION, ATTITUDE, SENSORS.rate, SENSORS.force, SENSORS.voltage, PULSES)
     wanted = dict.fromkeys(source.topic for sources in quantities for source in sources)
     rows: dict[str, tuple[tuple[str, ...], array[int], array[float]]] = {}
@@ -138,6 +143,21 @@ def _log(path: Path) -> TopicLog:
         duration_s=(end_us - start_us) * 1e-6,
         parameters=finite_numbers(parameters),
     )
+
+
+def _check_amounts(path: Path) -> None:
+    """Raise ImportFormatError for more messages, or more bytes between them, than bounds allow.
+
+    DFReader goes through both in steps before it returns anything. A message has at most 255 bytes.
+    """
+    limit, read, messages = DATAFLASH_MESSAGES.limit_of(path.stat().st_size), 0, 0
+    with path.open("rb") as stream:
+        while block := stream.read(_BLOCK_BYTES):
+            read, messages = read + len(block), messages + block.count(MARK[:2])
+            if messages > limit:
+                raise ImportFormatError(f"{path.name}: {DATAFLASH_MESSAGES.problem(limit=limit)}")
+            if read - _LONGEST_BYTES * messages > DATAFLASH_JUNK.limit:
+                raise ImportFormatError(f"{path.name}: {DATAFLASH_JUNK.problem()}")
 
 
 def _read(

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from array import array
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -17,8 +18,10 @@ from typing import Annotated, Any, Literal, get_args
 import numpy as np
 from pydantic import Field, model_validator
 
+from trimtab.host.base.bounds import TooLarge
 from trimtab.host.base.extras import optional
 from trimtab.host.imports.contents import Contents, printable, topic
+from trimtab.host.imports.formats.bag_bounds import bounded
 from trimtab.host.imports.formats.ulog import CORNERS as PX4_CORNERS
 from trimtab.host.imports.formats.ulog import UNKNOWN
 from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, turn_from_quaternion
@@ -243,14 +246,17 @@ class _Bag:
         self._name = path.name
         if not path.exists():
             raise ImportFormatError(f"{path}: cannot be read (no such file); check the path")
+        self._bounds, self._budget = ExitStack(), None
         try:
+            self._budget = self._bounds.enter_context(bounded(path))
             self._reader: Any = highlevel.AnyReader([path], default_typestore=_types())
             self._reader.open()
         except Exception as error:
+            self._bounds.close()
             raise self._damaged(error) from None
         connections: list[Any] = self._reader.connections
         if not all(isinstance(text, str) for c in connections for text in (c.topic, c.msgtype)):
-            self._reader.close()  # a cell of SQLite may have any type
+            self.close()  # a cell of SQLite may have any type
             raise self._damaged(TypeError())
         self.connections = sorted(connections, key=lambda c: c.topic)
         self.duration_s = max(0.0, self._reader.duration * 1e-9) if connections else 0.0
@@ -259,7 +265,12 @@ class _Bag:
         return self
 
     def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def close(self) -> None:
+        """Close the bag."""
         self._reader.close()
+        self._bounds.close()
 
     def streams(self, topics: TopicMap) -> dict[Quantity, _Stream]:
         """Return the values of each quantity that the bag holds."""
@@ -320,6 +331,9 @@ class _Bag:
         return chosen
 
     def _damaged(self, error: Exception) -> ImportFormatError:
+        broken = str(error) if isinstance(error, TooLarge) else self._budget and self._budget.problem
+        if broken:
+            return ImportFormatError(f"{self._name}: {broken}")
         # rosbags reports damage by its own exceptions and by those its parsers run into.
         repair = REPAIRS.get(Path(self._name).suffix, "ros2 bag reindex")
         return ImportFormatError(

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import csv
 import math
+from array import array
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated, TextIO
 
 import numpy as np
 
+from trimtab.host.base.bounds import CSV_COLUMNS, CSV_LINE
 from trimtab.host.imports.contents import Contents, printable, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError, reading
-
-if TYPE_CHECKING:
-    from _csv import Reader
 
 SKIPPED_MAX = 0.05
 """Greatest share of rows without finite numbers; with more, a column is wrong or has another rate."""
@@ -42,17 +41,45 @@ def table(path: Path, needed: Sequence[str]) -> Table:
 
 
 @contextmanager
-def _opened(path: Path) -> Iterator[Reader]:
+def _opened(path: Path) -> Iterator[_Rows]:
     """Open a CSV file. Raises ImportFormatError for a file that cannot be read or is not CSV."""
     try:
         with reading(path), path.open(newline="", encoding="utf-8-sig") as stream:
-            yield csv.reader(stream)
+            yield _Rows(stream, path.name)
     except UnicodeDecodeError as error:
         raise ImportFormatError(
             f"{path.name}: not UTF-8 text at byte {error.start}; give a CSV file"
         ) from None
     except csv.Error as error:
         raise ImportFormatError(f"{path.name}: not a CSV file ({error}); give one") from None
+
+
+class _Rows:
+    """The rows of a CSV file, of bounded length, and the number of the line read last.
+
+    A quoted cell may go over several lines, so that a row has no end although its lines have.
+    """
+
+    def __init__(self, stream: TextIO, name: str) -> None:
+        self._stream, self._name, self._length = stream, name, 0
+        self._reader = csv.reader(self._lines())
+
+    @property
+    def line_num(self) -> int:
+        """Number of the line read last."""
+        return self._reader.line_num
+
+    def __iter__(self) -> Iterator[list[str]]:
+        for cells in self._reader:
+            self._length = 0
+            yield cells
+
+    def _lines(self) -> Iterator[str]:
+        while line := self._stream.readline(CSV_LINE.limit + 1):
+            self._length += len(line)
+            if self._length > CSV_LINE.limit:
+                raise ImportFormatError(f"{self._name}: line {self.line_num + 1}: {CSV_LINE.problem()}")
+            yield line
 
 
 def header(head: bytes) -> tuple[str, ...]:
@@ -71,7 +98,7 @@ def table_contents(path: Path, time: str | None = None) -> Contents:
     Raises ImportFormatError as `table` does.
     """
     with _opened(path) as reader:
-        names = _names(reader)
+        names = _names(reader, path.name)
         count = sum(map(bool, reader)) if time is None else 0
     duration_s = 0.0
     if time is not None:
@@ -80,13 +107,16 @@ def table_contents(path: Path, time: str | None = None) -> Contents:
     return Contents(topics=tuple(topic(name, count, duration_s) for name in names), duration_s=duration_s)
 
 
-def _names(reader: Reader) -> list[str]:
-    """Return the names in the first line."""
-    return [cell.strip() for cell in next(reader, [])]
+def _names(reader: _Rows, name: str) -> list[str]:
+    """Return the names in the first line. Raises ImportFormatError for too many."""
+    names = [cell.strip() for cell in next(iter(reader), [])]
+    if len(names) > CSV_COLUMNS.limit:
+        raise ImportFormatError(f"{name}: line 1: {CSV_COLUMNS.problem(len(names))}")
+    return names
 
 
-def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
-    header = _names(reader)
+def _table(reader: _Rows, name: str, needed: tuple[str, ...]) -> Table:
+    header = _names(reader, name)
     missing = [column for column in needed if column not in header]
     if missing:
         raise ImportFormatError(f"{name}: no column {printable(', '.join(missing))}; is it another format?")
@@ -94,7 +124,7 @@ def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
     if twice:
         raise ImportFormatError(f"{name}: two columns are named {printable(', '.join(twice))}; rename one")
     at = [header.index(column) for column in needed]
-    rows: list[list[float]] = []
+    numbers = array("d")
     first, skipped = "", 0
     for cells in reader:
         if not cells:
@@ -105,12 +135,13 @@ def _table(reader: Reader, name: str, needed: tuple[str, ...]) -> Table:
             skipped += 1
             first = first or f"line {reader.line_num}: {printable(wrong[0])} is not a finite number"
         else:
-            rows.append(row)
+            numbers.extend(row)
+    rows = np.frombuffer(numbers).reshape(-1, len(needed))
     if skipped > SKIPPED_MAX * (skipped + len(rows)):
         raise ImportFormatError(f"{name}: {first}, and {skipped - 1} more rows; remove or correct them")
     if len(rows) < 2:
         raise ImportFormatError(f"{name}: fewer than two rows of numbers; nothing to import")
-    return Table(columns=dict(zip(needed, np.array(rows).T, strict=True)), skipped=skipped)
+    return Table(columns=dict(zip(needed, rows.T, strict=True)), skipped=skipped)
 
 
 def _number(cells: list[str], index: int) -> float:

@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.bounds import ULOG_ALL_FIELDS, ULOG_DEPTH, ULOG_FIELDS
 from trimtab.host.base.extras import optional, quiet
 from trimtab.host.imports.contents import Contents
 from trimtab.host.imports.frames import turn_from_quaternion
@@ -138,7 +139,9 @@ def _log(path: Path) -> TopicLog:
         stream = _Forwards(FileIO(path))
     with stream, quiet():
         try:
-            file: Any = pyulog.ULog(stream, disable_str_exceptions=True)
+            file: Any = _bounded(pyulog.ULog)(stream, disable_str_exceptions=True)
+        except _Beyond as error:
+            raise ImportFormatError(f"{path.name}: {error}") from None
         except Exception as error:
             # pyulog reports damage by whatever exception its parser ran into.
             raise ImportFormatError(
@@ -162,6 +165,37 @@ def _log(path: Path) -> TopicLog:
         parameters=finite_numbers(file.initial_parameters),
         damaged=bool(file.file_corruption),
     )
+
+
+class _Beyond(Exception):
+    """A definition is beyond a bound. pyulog takes a ValueError for damage and goes on."""
+
+
+def _bounded(ulog: Any) -> Any:
+    """Return pyulog's class with bounds on the definitions of one file. It raises _Beyond."""
+    total = 0
+
+    class Subscription(ulog._MessageAddLogged):  # type: ignore[misc]
+        def _parse_format(self, formats: Mapping[str, Any]) -> None:
+            nonlocal total
+            total += _field_count(self.message_name, formats)
+            if total > ULOG_ALL_FIELDS.limit:
+                raise _Beyond(ULOG_ALL_FIELDS.problem())
+            super()._parse_format(formats)
+
+    return type("BoundedULog", (ulog,), {"_MessageAddLogged": Subscription})
+
+
+def _field_count(name: str, formats: Mapping[str, Any], depth: int = 0) -> int:
+    """Return how many values a message has. Raises _Beyond, or KeyError for an unknown format."""
+    if depth > ULOG_DEPTH.limit:
+        raise _Beyond(f"{name}: {ULOG_DEPTH.problem()}")
+    count, basic = 0, optional("pyulog", "logs").ULog._UNPACK_TYPES
+    for kind, length, _ in formats[name].fields:
+        count += max(1, length) * (1 if kind in basic else _field_count(kind, formats, depth + 1))
+        if count > ULOG_FIELDS.limit:
+            raise _Beyond(f"{name}: {ULOG_FIELDS.problem()}")
+    return count
 
 
 class _Forwards(BufferedReader):

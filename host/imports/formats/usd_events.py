@@ -16,6 +16,7 @@ from typing import Annotated
 
 import numpy as np
 
+from trimtab.host.base.bounds import USD_RECORDS
 from trimtab.host.imports.recording import ImportFormatError
 
 MARK = 0xBC
@@ -81,12 +82,16 @@ def _decode(data: bytes, name: str) -> tuple[Event, ...]:
     if not types:
         raise ImportFormatError(f"{name}: no event type; nothing was logged")
     rows: dict[int, list[tuple]] = {kind: [] for kind in types}
+    records, limit = 0, USD_RECORDS.limit_of(len(data))
     while offset < len(data):
         (kind,) = struct.unpack_from("<H", data, offset)
         if kind not in types:
             raise ImportFormatError(
                 f"{name}: record of unknown type {kind} at byte {offset}; not a log of this format"
             )
+        records += 1
+        if records > limit:
+            raise ImportFormatError(f"{name}: {USD_RECORDS.problem(limit=limit)}")
         packer = types[kind][2]
         rows[kind].append(packer.unpack_from(data, offset + 2))
         offset += 2 + packer.size

@@ -6,6 +6,7 @@ from pathlib import Path
 
 import pytest
 
+from trimtab.host.base.bounds import CSV_LINE
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats.table import table, table_contents
 
@@ -89,3 +90,19 @@ def test_few_rows_without_numbers_are_skipped_and_counted(tmp_path: Path) -> Non
 def test_table_that_cannot_be_opened_is_refused(tmp_path: Path, name: str) -> None:
     with pytest.raises(ImportFormatError, match="cannot be read"):
         table(tmp_path / name, ("t",))
+
+
+@pytest.mark.parametrize(
+    ("text", "told"),
+    [
+        pytest.param("t,x\n1," + "2" * CSV_LINE.limit + "\n", "line 2: length of a row", id="long line"),
+        pytest.param("t,x\n" + '"1\n",' * (CSV_LINE.limit // 4), "length of a row", id="lines in quotes"),
+        pytest.param(",".join("c" * 10_001) + "\n1\n", "line 1: columns: 10001", id="columns"),
+    ],
+)
+def test_row_beyond_a_bound_is_refused_with_its_line(tmp_path: Path, text: str, told: str) -> None:
+    path = tmp_path / "flight.csv"
+    path.write_text(text)
+    for act in (lambda: table(path, ("t", "x")), lambda: table_contents(path)):
+        with pytest.raises(ImportFormatError, match=rf"flight\.csv: .*{told}"):
+            act()

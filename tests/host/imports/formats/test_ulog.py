@@ -13,8 +13,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from tests.foreign.hostile import nested_ulog
 from tests.foreign.ulog import START_US, Topics, message, topics_of, ulog_bytes
 from tests.narrowing import not_none
+from trimtab.host.base.bounds import ULOG_ALL_FIELDS, ULOG_DEPTH
 from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats import recognise, ulog
 from trimtab.host.imports.formats.ulog import read
@@ -180,3 +182,15 @@ def test_recorded_ulog_of_others_tells_that_its_motors_never_ran(
     for name in ("sample.ulg", "sample_appended_multiple.ulg"):
         found = read(FLIGHTS / "px4" / name)
         assert not_none(found.motor_command).max() == 0.0
+
+
+def test_definitions_of_too_many_values_are_refused(tmp_path: Path) -> None:
+    path = tmp_path / "a.ulg"
+    data = nested_ulog(1, 60_000)
+    subscription = message("A", struct.pack("<BH", 0, 0) + b"f0")
+    path.write_bytes(data + subscription * 3)
+    with pytest.raises(ImportFormatError, match=rf"a\.ulg: {ULOG_ALL_FIELDS.what}"):
+        ulog.contents(path)
+    path.write_bytes(nested_ulog(17, 1))
+    with pytest.raises(ImportFormatError, match=rf"a\.ulg: f17: {ULOG_DEPTH.what}"):
+        ulog.contents(path)
