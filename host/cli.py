@@ -241,6 +241,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     # A roll-out that overflows shows in the result, which says so; stderr has one line for each problem.
     warnings.simplefilter("ignore", RuntimeWarning)
     if is_process:
+        warnings.showwarning = _show_warning
         gc.set_threshold(_GARBAGE_THRESHOLD)
     try:
         output.prepare()
@@ -252,24 +253,30 @@ def main(argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt as error:
         if is_process:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
-        return _fail(words, "; ".join(["interrupted", *map(str, error.args)]), INTERRUPTED)
+        return _fail(words, ["; ".join(["interrupted", *map(str, error.args)])], INTERRUPTED)
     except BrokenPipeError:
         # The reader of our output has closed it, as in `trimtab log info X | head`.
         _silence_stdout()
         return 0
     except TrimtabError as error:
-        return _fail(words, str(error) or type(error).__name__, error.exit_code, error.details)
+        return _fail(
+            words, error.lines if str(error) else [type(error).__name__], error.exit_code, error.details
+        )
     except Exception as error:
         message = failure_message(error, _verb_of(words).strip())
         if message is not None:
-            return _fail(words, message, 2)
+            return _fail(words, [message], 2)
         saved = _save_traceback(words)
         summary = f"{type(error).__name__}: {error}".splitlines()[0]
-        return _fail(words, f"a bug in trimtab: {summary}; please report it with {saved}", BUG)
+        return _fail(words, [f"a bug in trimtab: {summary}; please report it with {saved}"], BUG)
     finally:
         sys.argv = outside
         if is_process:
             signal.signal(signal.SIGINT, signal.SIG_IGN)
+
+
+def _show_warning(message: Warning | str, *_: object, **__: object) -> None:
+    output.warn(str(message))
 
 
 def _run(words: list[str]) -> int:
@@ -287,7 +294,7 @@ def _run(words: list[str]) -> int:
         raise
     except CycloptsError as error:
         text = " ".join(str(error).split())
-        return _fail(words, f"{text} Try: trimtab {_verb_of(words)}--help", 2)
+        return _fail(words, [f"{text} Try: trimtab {_verb_of(words)}--help"], 2)
     if any(flag in words for flag in _HELP_FLAGS):
         output.say(*(f"Guide: {DOCS / verb.page}" for verb in VERBS if verb.name == words[0]))
     return result if isinstance(result, int) and not isinstance(result, bool) else 0
@@ -313,13 +320,15 @@ def _verb_of(words: Sequence[str]) -> str:
     return f"{words[0]} " if words and words[0] in known else ""
 
 
-def _fail(words: Sequence[str], message: str, code: int, details: Mapping[str, Any] | None = None) -> int:
-    """Print the message to stderr and, with `--json`, the message and `details` to stdout. Return `code`."""
-    for line in message.splitlines():
+def _fail(
+    words: Sequence[str], lines: Sequence[str], code: int, details: Mapping[str, Any] | None = None
+) -> int:
+    """Print the lines to stderr and, with `--json`, the lines and `details` to stdout. Return `code`."""
+    for line in lines:
         output.warn(line)
     try:
         if "--json" in words and not output.emitted():
-            output.emit({"error": message, "exit_code": code, **(details or {})}, True)
+            output.emit({"error": "\n".join(lines), "exit_code": code, **(details or {})}, True)
         sys.stdout.flush()
     except OSError:  # stdout cannot be written
         _silence_stdout()

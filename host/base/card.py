@@ -6,7 +6,9 @@ Cards set no colour of their own, so that they are readable on a light and on a 
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from html import escape
+from html import escape as escape_html
+
+from trimtab.host.base.text import escaped
 
 Row = Sequence[object]
 
@@ -40,6 +42,11 @@ def simulated_badge(simulated: int, flights: int) -> str | None:
     if simulated == 0:
         return None
     return "simulated" if simulated == flights else f"{simulated} of {flights} flights simulated"
+
+
+def escape(text: str) -> str:
+    """Return a text for a page: markup and what cannot be seen are escaped."""
+    return escape_html(escaped(text, lines=True))
 
 
 def _row(tag: str, cells: Row) -> str:

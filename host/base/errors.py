@@ -27,10 +27,15 @@ INTERRUPTED = 130
 
 
 class TrimtabError(Exception):
-    """An error with an exit code. Its text is shown unchanged; with `--json`, `details` join the object."""
+    """An error with an exit code. Its text is shown in one line; with `--json`, `details` join the object."""
 
     exit_code: int = 1
     details: Mapping[str, Any] = MappingProxyType({})
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """The text in lines. A line feed in a name that the text holds begins no line."""
+        return (str(self),)
 
 
 class GateMissed(TrimtabError):

@@ -7,6 +7,8 @@ from collections.abc import Sequence
 from types import TracebackType
 from typing import TYPE_CHECKING, Self
 
+from trimtab.host.base.text import escaped
+
 if TYPE_CHECKING:
     from rich.live import Live
 
@@ -15,7 +17,7 @@ class LiveTable:
     """Table of names and values. Without a terminal, every call does nothing. NO_COLOR is honoured."""
 
     def __init__(self, title: str, *, enabled: bool | None = None) -> None:
-        self._title = title
+        self._title = escaped(title)
         self._enabled = sys.stderr.isatty() if enabled is None else enabled
         self._live: Live | None = None
 
@@ -43,5 +45,5 @@ class LiveTable:
 
             table = Table(title=Text(self._title), show_header=False)
             for row in rows:
-                table.add_row(*map(Text, row))
+                table.add_row(*(Text(escaped(cell)) for cell in row))
             self._live.update(table, refresh=True)

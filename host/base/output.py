@@ -10,9 +10,10 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from trimtab.host.base.text import ESCAPE, readable
+from trimtab.host.base.text import ESCAPE, escaped, readable
 
 _emitted = False
+_DELETE = "\x7f"
 _NARROWEST = 20
 """Columns. The help cannot be formatted in fewer."""
 
@@ -47,7 +48,8 @@ def json_text(result: Mapping[str, Any]) -> str:
     Absent values must be None: raises ValueError on NaN or infinity.
     """
     text = json.dumps(result, allow_nan=False, default=_plain, ensure_ascii=False)
-    return text if text.isascii() else json.dumps(json.loads(readable(text, "surrogateescape")))
+    text = text if text.isascii() else json.dumps(json.loads(readable(text, "surrogateescape")))
+    return text.replace(_DELETE, "\\u007f")  # the one control character that JSON allows
 
 
 def emit(result: Mapping[str, Any], as_json: bool) -> None:
@@ -61,16 +63,16 @@ def emit(result: Mapping[str, Any], as_json: bool) -> None:
 
 
 def say(*lines: str) -> None:
-    """Print lines of text to stdout."""
+    """Print lines of text to stdout, each in one line whatever is in it."""
     for line in lines:
-        sys.stdout.write(line + "\n")
+        sys.stdout.write(escaped(line) + "\n")
     sys.stdout.flush()
 
 
 def warn(line: str) -> None:
-    """Print one line to stderr. If stderr cannot be written, do nothing."""
+    """Print one line to stderr, whatever is in it. If stderr cannot be written, do nothing."""
     try:
-        sys.stderr.write(f"trimtab: {line}\n")
+        sys.stderr.write(f"trimtab: {escaped(line)}\n")
         sys.stderr.flush()
     except OSError:  # the terminal has closed; discard the rest, so that the final flush does not fail
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stderr.fileno())

@@ -6,6 +6,8 @@ import sys
 from types import TracebackType
 from typing import TYPE_CHECKING, Any, Self
 
+from trimtab.host.base.text import escaped
+
 if TYPE_CHECKING:
     from rich.progress import Progress as RichProgress
     from rich.progress import TaskID
@@ -18,7 +20,7 @@ class Progress:
     """
 
     def __init__(self, title: str, total: float | None = None, *, enabled: bool | None = None) -> None:
-        self._title = title
+        self._title = escaped(title)
         self._total = total
         self._enabled = sys.stderr.isatty() if enabled is None else enabled
         self._bar: RichProgress | None = None
@@ -31,12 +33,12 @@ class Progress:
             from rich.progress import Progress as RichProgress
 
             self._bar = RichProgress(
-                TextColumn("{task.description}"),
+                TextColumn("{task.description}", markup=False),
                 BarColumn(),
                 TimeElapsedColumn(),
                 TextColumn("left"),
                 TimeRemainingColumn(),
-                TextColumn("{task.fields[detail]}"),
+                TextColumn("{task.fields[detail]}", markup=False),
                 console=Console(stderr=True),
                 transient=True,
             )
@@ -54,7 +56,7 @@ class Progress:
     def advance(self, amount: float = 1.0, detail: str | None = None) -> None:
         """Advance the bar by `amount`."""
         if self._bar is not None and self._task is not None:
-            fields: dict[str, Any] = {} if detail is None else {"detail": detail}
+            fields: dict[str, Any] = {} if detail is None else {"detail": escaped(detail)}
             self._bar.update(self._task, advance=amount, **fields)
 
     def update(
@@ -62,10 +64,10 @@ class Progress:
     ) -> None:
         """Set the bar to `completed` of `total`."""
         if self._bar is not None and self._task is not None:
-            fields: dict[str, Any] = {} if detail is None else {"detail": detail}
+            fields: dict[str, Any] = {} if detail is None else {"detail": escaped(detail)}
             self._bar.update(self._task, completed=completed, total=total, **fields)
 
     def say(self, line: str) -> None:
         """Print a line above the bar."""
         if self._bar is not None:
-            self._bar.console.print(line, markup=False, highlight=False)
+            self._bar.console.print(escaped(line), markup=False, highlight=False)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from trimtab.host.base.text import escaped
+
 
 @dataclass(frozen=True, kw_only=True)
 class Topic:
@@ -30,9 +32,4 @@ _SHORTEST_S = 1e-6
 def topic(name: str, count: int, duration_s: float) -> Topic:
     """Return a topic with `count` samples that span `duration_s`."""
     rate_hz = max(0, count - 1) / duration_s if duration_s >= _SHORTEST_S else 0.0
-    return Topic(name=printable(name), count=count, rate_hz=rate_hz)
-
-
-def printable(name: str) -> str:
-    """Return a name from a file that may be damaged, in one line without control characters."""
-    return "".join(letter if letter.isprintable() else "\N{REPLACEMENT CHARACTER}" for letter in name)
+    return Topic(name=escaped(name), count=count, rate_hz=rate_hz)

@@ -78,7 +78,7 @@ def consistent_parts(
     answers = [{found.quantity: found.answer for found in compare(recording, part)} for part in parts]
     if all(any(each.get(quantity) == "agree" for each in answers) for quantity in wrong):
         return tuple(parts), tuple(cut)
-    raise ImportFormatError("\n".join(f"{recording.source}: {found.line}" for found in wrong.values()))
+    raise ImportFormatError(*(f"{recording.source}: {found.line}" for found in wrong.values()))
 
 
 def _sound_part(recording: Recording, span_us: Span, wrong: Sequence[Comparison]) -> Span | None:

@@ -61,9 +61,17 @@ _COMMAND_SLACK = 1e-3
 
 
 class ImportFormatError(TrimtabError, ValueError):
-    """A foreign log does not have the expected format. The message gives file, field and remedy."""
+    """A foreign log does not have the expected format. Each line gives file, field and remedy."""
 
     exit_code = 5
+
+    def __str__(self) -> str:
+        return "\n".join(self.lines)
+
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line for each problem."""
+        return self.args
 
 
 class TooShort(ImportFormatError):

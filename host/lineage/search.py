@@ -81,7 +81,7 @@ def _scan(root: Path) -> tuple[list[Artefact], list[str]]:
         try:
             artefact = read_artefact(path)
         except TrimtabError as error:
-            damaged.append(str(error).splitlines()[0])
+            damaged.append(error.lines[0])
         except OSError as error:
             damaged.append(f"{path}: cannot be read ({error.strerror or error}); check the file")
         else:

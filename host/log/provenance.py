@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 from trimtab.host.base.artefacts import without_options
-from trimtab.host.base.text import readable
+from trimtab.host.base.text import escaped, readable
 from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import blob_id
@@ -70,7 +70,7 @@ class Provenance:
         reserved = sorted(set(entries) & set(self.session))
         if reserved:
             raise ValueError(f"session entries {reserved} are reserved names")
-        return {key: readable(value) for key, value in sorted({**entries, **self.session}.items())}
+        return {key: readable(escaped(value)) for key, value in sorted({**entries, **self.session}.items())}
 
 
 SIMULATED = "simulated"

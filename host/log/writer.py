@@ -19,7 +19,7 @@ from typing import IO, Any, NamedTuple, Self, cast
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap_protobuf.schema import build_file_descriptor_set
 
-from trimtab.host.base.text import readable
+from trimtab.host.base.text import escaped, readable
 from trimtab.host.log import topics
 from trimtab.host.log.display import Display, stamp
 from trimtab.host.log.errors import LogError
@@ -258,7 +258,7 @@ class LogWriter:
         """Write `/log`; `severity` as in STATUSTEXT (0 emergency .. 7 debug), `name` is the sender."""
         message = self._messages.text
         message.level = _foxglove_level(severity)
-        message.message = readable(text)
+        message.message = readable(escaped(text))
         message.name = name
         stamp(message.timestamp, publish_us)
         return self.write(topics.LOG, message, log_us, publish_us)

@@ -10,6 +10,7 @@ from typing import Any
 
 import matplotlib
 
+from trimtab.host.base.text import escaped
 from trimtab.host.trace.decision.findings import CHANNEL_UNITS
 
 matplotlib.use("svg")
@@ -62,7 +63,12 @@ def finish(canvas: Canvas, caption: str, alt: str, *, png: bool = False) -> Figu
             canvas.savefig(pixels, format="png", dpi=120, metadata={"Software": None})
     plt.close(canvas)
     return Figure(
-        svg=stream.getvalue(), caption=caption, alt=alt, width=width, height=height, png=pixels.getvalue()
+        svg=escaped(stream.getvalue(), lines=True),
+        caption=caption,
+        alt=alt,
+        width=width,
+        height=height,
+        png=pixels.getvalue(),
     )
 
 

@@ -27,6 +27,11 @@ class ConfigurationError(TrimtabError, ValueError):
         self.problems = tuple(problems)
         super().__init__("\n".join(self.problems))
 
+    @property
+    def lines(self) -> tuple[str, ...]:
+        """One line for each problem."""
+        return self.problems
+
     def __reduce__(self) -> tuple[Any, ...]:
         """Return the type and arguments that rebuild the error, for pickle."""
         return type(self), (self.problems,)

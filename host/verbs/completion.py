@@ -23,4 +23,4 @@ def command(shell: Literal["bash", "zsh", "fish"]) -> None:
     script = build_app().generate_completion(shell=shell).rstrip()
     if shell == "zsh" and (function := re.search(r"^(_\w+)\(\)", script, flags=re.MULTILINE)):
         script += f"\n\ncompdef {function[1]} trimtab"  # else zsh finds it only as a file with a certain name
-    say(script)
+    say(*script.split("\n"))

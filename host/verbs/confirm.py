@@ -7,6 +7,8 @@ import sys
 import threading
 from collections.abc import Callable
 
+from trimtab.host.base.text import escaped
+
 YES = "yes"
 
 
@@ -26,7 +28,7 @@ def ask_at_terminal(lines: tuple[str, ...]) -> Callable[[], bool | None]:
         answers.append(sys.stdin.readline().strip().lower() == YES)
 
     for line in lines:
-        print(line, file=sys.stderr)
+        print(escaped(line), file=sys.stderr)
     print(f"Type {YES} and Enter to arm: ", end="", file=sys.stderr, flush=True)
     threading.Thread(target=wait, daemon=True).start()
     return lambda: answers[0] if answers else None

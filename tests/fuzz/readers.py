@@ -32,6 +32,7 @@ import numpy as np
 from tests.foreign import bag, dataflash, tables, ulog, usd
 from tests.foreign.flight import MadeUp, in_axes, made_up
 from trimtab.host.base.progress import Progress
+from trimtab.host.base.text import escaped
 from trimtab.host.imports import ImportFormatError, formats
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.contents import Contents
@@ -409,7 +410,7 @@ def _refused(
 
 
 def _check_line(line: str, name: str) -> None:
-    if not line.isprintable() or name not in line:
+    if escaped(line) != line or name not in line:
         raise Broken(f"an error that is not one line with the name of the file: {line[:2000]!r}")
 
 
@@ -418,7 +419,7 @@ def _check_contents(contents: Contents) -> None:
     if not all(math.isfinite(number) and number >= 0.0 for number in numbers):
         raise Broken(f"contents with impossible numbers: {contents}")
     for words in (*contents.notes, *(topic.name for topic in contents.topics)):
-        if not words.isprintable():
+        if escaped(words) != words:
             raise Broken(f"contents with a name that is not printable: {words[:200]!r}")
 
 

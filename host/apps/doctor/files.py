@@ -62,7 +62,7 @@ def _faults(name: str, read: Callable[[Path], object], path: Path) -> list[Check
     try:
         read(path)
     except TrimtabError as error:
-        return [Check(name=name, status="problem", text=line) for line in str(error).splitlines()]
+        return [Check(name=name, status="problem", text=line) for line in error.lines]
     except OSError as error:
         text = f"{path}: cannot be read: {error.strerror}"
         return [Check(name=name, status="problem", text=text, remedy="make it readable")]

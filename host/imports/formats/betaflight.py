@@ -8,7 +8,8 @@ from __future__ import annotations
 import re
 from pathlib import Path
 
-from trimtab.host.imports.contents import Contents, Topic, printable
+from trimtab.host.base.text import escaped
+from trimtab.host.imports.contents import Contents, Topic
 from trimtab.host.imports.recording import ImportFormatError, Recording, check_readable
 
 MARK = b"H Product:Blackbox flight data recorder"
@@ -36,7 +37,7 @@ def contents(path: Path) -> Contents:
     share = _number(header.get("P interval", "1").rpartition("/")[2]) or 1.0
     rate_hz = 1e6 / (loop_us * share) if loop_us else 0.0
     return Contents(
-        topics=tuple(Topic(name=printable(name), count=0, rate_hz=rate_hz) for name in names), duration_s=0.0
+        topics=tuple(Topic(name=escaped(name), count=0, rate_hz=rate_hz) for name in names), duration_s=0.0
     )
 
 

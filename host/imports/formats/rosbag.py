@@ -20,7 +20,8 @@ from pydantic import Field, model_validator
 
 from trimtab.host.base.bounds import TooLarge
 from trimtab.host.base.extras import optional
-from trimtab.host.imports.contents import Contents, printable, topic
+from trimtab.host.base.text import escaped
+from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.formats.bag_bounds import bounded
 from trimtab.host.imports.formats.ulog import CORNERS as PX4_CORNERS
 from trimtab.host.imports.formats.ulog import UNKNOWN
@@ -314,7 +315,7 @@ class _Bag:
                 able = [c for c in able if c.topic == given]
                 if not able:
                     raise ImportFormatError(
-                        f"{self._name}: no topic {printable(given)} with messages for {quantity}; "
+                        f"{self._name}: no topic {escaped(given)} with messages for {quantity}; "
                         "correct the topic map"
                     )
             able.sort(key=lambda c: (order.index(c.msgtype), -c.msgcount, c.topic))
@@ -325,7 +326,7 @@ class _Bag:
                 c for c in others if c.msgtype == first.msgtype and c.msgcount > _SIMILAR * first.msgcount
             ]
             if quantity == "pose" and rivals:
-                names = printable(", ".join(c.topic for c in (first, *rivals)))
+                names = escaped(", ".join(c.topic for c in (first, *rivals)))
                 raise ImportFormatError(f"{self._name}: several vehicles ({names}); name one in a topic map")
             chosen[quantity] = first
         return chosen

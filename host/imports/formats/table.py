@@ -14,7 +14,8 @@ from typing import Annotated, TextIO
 import numpy as np
 
 from trimtab.host.base.bounds import CSV_COLUMNS, CSV_LINE
-from trimtab.host.imports.contents import Contents, printable, topic
+from trimtab.host.base.text import escaped
+from trimtab.host.imports.contents import Contents, topic
 from trimtab.host.imports.recording import READABLE, ImportFormatError, reading
 
 SKIPPED_MAX = 0.05
@@ -119,10 +120,10 @@ def _table(reader: _Rows, name: str, needed: tuple[str, ...]) -> Table:
     header = _names(reader, name)
     missing = [column for column in needed if column not in header]
     if missing:
-        raise ImportFormatError(f"{name}: no column {printable(', '.join(missing))}; is it another format?")
+        raise ImportFormatError(f"{name}: no column {escaped(', '.join(missing))}; is it another format?")
     twice = [column for column in needed if header.count(column) > 1]
     if twice:
-        raise ImportFormatError(f"{name}: two columns are named {printable(', '.join(twice))}; rename one")
+        raise ImportFormatError(f"{name}: two columns are named {escaped(', '.join(twice))}; rename one")
     at = [header.index(column) for column in needed]
     numbers = array("d")
     first, skipped = "", 0
@@ -133,7 +134,7 @@ def _table(reader: _Rows, name: str, needed: tuple[str, ...]) -> Table:
         wrong = [column for column, value in zip(needed, row, strict=True) if not abs(value) < READABLE]
         if wrong:
             skipped += 1
-            first = first or f"line {reader.line_num}: {printable(wrong[0])} is not a finite number"
+            first = first or f"line {reader.line_num}: {escaped(wrong[0])} is not a finite number"
         else:
             numbers.extend(row)
     rows = np.frombuffer(numbers).reshape(-1, len(needed))

@@ -11,7 +11,7 @@ from trimtab.sitl.studies.fuzz.inputs import REALS
 _WORDS = (
     *(b"0", b"-1", b"1e308", b"-1e308", b"1e-320", b"nan", b"inf", b"-inf", b"99999999999999999999"),
     *(b'""', b'"x"', b"[]", b"{}", b"[[1.0]]", b"true", b"1979-05-27", b"0x7fffffffffffffff"),
-    *(b"\xff", b"\\u0000", b"\n[a]\n"),
+    *(b"\xff", b"\\u0000", b"\n[a]\n", b"a." * 40, b"[" * 400, b"\x1b[2J", b"\xe2\x80\xae"),
 )
 
 

@@ -16,8 +16,9 @@ from typing import Any
 
 import pytest
 
+from trimtab.host.base import output
 from trimtab.host.base.artefacts import content_id
-from trimtab.host.base.text import ESCAPE, file_name, readable
+from trimtab.host.base.text import ESCAPE, escaped, file_name, readable
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
 
@@ -129,3 +130,57 @@ def test_missing_file_with_an_umlaut_is_named_on_stderr(run: Run) -> None:
     assert code == 5
     assert complaint == f"trimtab: {answer['error']}\n"
     assert complaint.startswith("trimtab: nö.mcap: cannot be read")
+
+
+@pytest.mark.parametrize(
+    ("text", "shown"),
+    [
+        ("a\x1b[31mb\x00\x07", r"a\x1b[31mb\x00\x07"),
+        ("a\nb\r\tc\x0b\x85\u2028\u2029", r"a\nb\r\tc\x0b\x85\u2028\u2029"),
+        ("\x7f\x80\x9b", r"\x7f\x80\x9b"),
+        ("\u202a\u202b\u202c\u202d\u202e\u2066\u2067\u2068\u2069", None),
+        ("\u200b\u200c\u200d\u200e\u200f\u2060\ufeff\xad", None),
+        ("\U000e0041", r"\U000e0041"),
+        ("\ud800", r"\ud800"),
+        ("n\udc9b\udcff", "n\\x9b\udcff"),
+    ],
+)
+def test_escaped_shows_what_cannot_be_seen(text: str, shown: str | None) -> None:
+    expected = "".join(f"\\u{ord(c):04x}" if ord(c) > 255 else f"\\x{ord(c):02x}" for c in text)
+    assert escaped(text) == (expected if shown is None else shown)
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "Übung 3 (été).mcap",
+        "日本\u3000語",
+        "नमस्ते",
+        "العَرَبِيَّة",
+        "ภาษาไทย",
+        "ħ µ ≤ € 🚁",
+        "a\xa0b",
+        r"back\x1b",
+        "",
+    ],
+)
+def test_escaped_leaves_letters_of_all_alphabets(text: str) -> None:
+    assert escaped(text) == text
+    assert escaped(f"{text}\n{text}", lines=True) == f"{text}\n{text}"
+
+
+def test_output_shows_each_text_in_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    output.say("a\x1b]0;x\x07", "b\nc")
+    output.warn("d\ne\u202e")
+    printed = capsys.readouterr()
+    assert printed.out == "a\\x1b]0;x\\x07\nb\\nc\n"
+    assert printed.err == "trimtab: d\\ne\\u202e\n"
+
+
+def test_json_keeps_the_text_and_escapes_it_itself(capsys: pytest.CaptureFixture[str]) -> None:
+    for text in ("a\x1b\x7f\x9b\u202e\u200bé\n", "\x7f"):
+        output.emit({"name": text}, True)
+        printed = capsys.readouterr().out
+        assert printed.removesuffix("\n").isascii()
+        assert printed.removesuffix("\n").isprintable()
+        assert json.loads(printed) == {"name": text}
