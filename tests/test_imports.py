@@ -74,6 +74,7 @@ EDGES: dict[str, tuple[str, ...]] = {
     "grpc_tools": ("protocol.generate",),
     "jax": ("host.apps.bench.jax_loop", "host.apps.bench.jax_rollouts"),
     "jinja2": ("host.report",),
+    "markupsafe": ("host.report",),  # comes with jinja2
     "matplotlib": ("host.report", "host.verbs"),
     "lz4": ("host.imports.formats.bag_bounds",),
     "mcap": ("host.log",),
