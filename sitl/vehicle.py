@@ -239,8 +239,7 @@ class SimulatedVehicle:
 
     def true_position(self) -> tuple[float, float, float]:
         """Return the true position, NED. For checks only."""
-        x, y, z = self._pose[0:3]
-        return x, y, z
+        return self.true_motion()[0]
 
     def true_motion(self) -> tuple[tuple[float, float, float], tuple[float, float, float]]:
         """Return the true position and velocity, NED. For checks only."""

@@ -8,6 +8,7 @@ from __future__ import annotations
 import sys
 from pathlib import Path
 
+from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT
 from trimtab.firmware_model.flight.envelope import (
     IMPACT_SPEED,
     RISING_SHARE,
@@ -16,7 +17,7 @@ from trimtab.firmware_model.flight.envelope import (
 )
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
 from trimtab.firmware_model.flight.flight import OFF_TRACK_M, UPDATE_TICKS
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, TAKEOFF_HEIGHT_MIN
+from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
     CURVE,

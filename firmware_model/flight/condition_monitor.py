@@ -16,6 +16,8 @@ FLOOR_HEIGHT = 0.03
 """Height (m) above the take-off floor below which a descent ends immediately. In wind a vehicle descends
 tilted, and attitude control would tip it over on the floor within a quarter of a second.
 """
+CLEAR_HEIGHT = 0.15
+"""Height (m) above the floor below which the vehicle only climbs vertically, so it does not drag its feet."""
 TOUCH_FORCE = 1.0
 """Least excess of the specific force over rotor thrust (m/s^2) that indicates contact with the floor."""
 TOUCH_FORCE_MAX = 2.0

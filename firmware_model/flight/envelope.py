@@ -13,13 +13,15 @@ from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
 from trimtab.firmware_model.flight.braking import VERTICAL_RAMP_US, Brakes
-from trimtab.firmware_model.flight.condition_monitor import Box
+from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT, Box
 from trimtab.firmware_model.law.constants import GRAVITY
 
 THRUST_SHARE = 0.75
 """Share of the greatest thrust that a stop uses; the rest is for attitude control."""
 SIDEWAYS_TILT_DEG = 50.0
 """Greatest tilt of a horizontal stop without a climb or a descent."""
+TILT_MAX_DEG = 70.0
+"""Greatest tilt of a horizontal stop beside a climb that is braked: little lift is left to tilt."""
 RISING_SHARE = 0.95
 """Share of the greatest deceleration of a climb, that without thrust beyond the least, that a stop uses."""
 SINKING_MAX = 12.0
@@ -34,8 +36,6 @@ TURN_S = 0.05
 """Time that a turn of the thrust axis takes beyond that: the body rate has to build up and to end."""
 NEXT_STEP = 1.2
 """Deceleration of the next step of `braking.HARDER` over that which is just needed."""
-CLEARANCE = 0.15
-"""Height (m) above the floor at which a sideways motion must not descend any further."""
 IMPACT_SPEED = 1.0
 """Greatest speed (m/s) at which a stop may still meet the floor."""
 
@@ -103,12 +103,12 @@ class Envelope(NamedTuple):
     def impact_speed(self, motion: Motion, height: float) -> float:
         """Return the speed (m/s) at which the vehicle would meet a floor `height` below it; 0 if it stops.
 
-        A vehicle that moves sideways must stop CLEARANCE above the floor.
+        A vehicle that moves sideways must stop CLEAR_HEIGHT above the floor.
         """
         sinking, a = motion.v[2], motion.a[2]
         sideways = math.hypot(motion.v[0], motion.v[1])
         if sideways > IMPACT_SPEED:
-            height -= CLEARANCE
+            height -= CLEAR_HEIGHT
         turn_s = self._turn_s(math.acos(min(max(motion.cos_tilt, -1.0), 1.0))) + 0.5e-6 * VERTICAL_RAMP_US
         brake = max(self.brakes.sinking, SINKING_MIN)
         after = sinking + turn_s * (a - brake) / 2.0
@@ -139,7 +139,7 @@ def envelope(parameters: Mapping[str, float], thrust_ratio: float, gentle: float
         sideways=max(sideways, SINKING_MIN),
         rising=RISING_SHARE * (GRAVITY - least),
         sinking=sinking,
-        tilt=math.tan(math.radians(min(parameters["LIM_TILT_DEG"], 70.0))),
+        tilt=math.tan(math.radians(min(parameters["LIM_TILT_DEG"], TILT_MAX_DEG))),
     )
     turn_rate = TURN_SHARE * max(1e-3, min(parameters["ATT_P_X"], parameters["ATT_P_Y"]))
     return Envelope(brakes=brakes, lag_s=parameters["MOTOR_LAG"], turn_rate=turn_rate)

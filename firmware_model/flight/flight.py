@@ -10,7 +10,13 @@ from collections import deque
 from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
-from trimtab.firmware_model.flight.condition_monitor import LEVEL, ConditionMonitor, Observation, fence
+from trimtab.firmware_model.flight.condition_monitor import (
+    CLEAR_HEIGHT,
+    LEVEL,
+    ConditionMonitor,
+    Observation,
+    fence,
+)
 from trimtab.firmware_model.flight.course import Course
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.envelope import Motion, stops_outside
@@ -19,7 +25,7 @@ from trimtab.firmware_model.flight.failsafe import BY_EVENT, Action, Condition, 
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.gate import CommandGate
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.flight.phases import CLEAR_HEIGHT, Phases, ReferenceState
+from trimtab.firmware_model.flight.phases import Phases, ReferenceState
 from trimtab.firmware_model.flight.readiness import StillnessDetector
 from trimtab.firmware_model.flight.setpoints import Target
 from trimtab.firmware_model.flight.supervisor import FLYING, Event, State, update

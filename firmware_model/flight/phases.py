@@ -11,7 +11,7 @@ from collections.abc import Callable, Mapping
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import braking, track
-from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
+from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT, FLOOR_HEIGHT
 from trimtab.firmware_model.flight.envelope import Envelope, envelope
 from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.offboard import Offboard
@@ -33,8 +33,6 @@ attitude."""
 
 TAKEOFF_HEIGHT_MIN = BY_NAME["TAKEOFF_HEIGHT"].min
 """Least height (m) of a take-off."""
-CLEAR_HEIGHT = 0.15
-"""Height (m) above the floor below which the vehicle only climbs vertically, so it does not drag its feet."""
 
 ReferenceState = tuple[braking.Node, track.YawState]
 """State (p, v, a, j) of the reference, and its yaw and yaw rate."""

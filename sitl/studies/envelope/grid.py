@@ -36,14 +36,12 @@ class Outcome:
     failsafe: bool
 
 
-def fly_attitude(
-    world: str, *, height_m: float, thrust: float, tilt_deg: float, stream_s: float, world_seed: int = 0
-) -> Outcome:
+def fly_attitude(world: str, *, height_m: float, thrust: float, tilt_deg: float, stream_s: float) -> Outcome:
     """Hover at a height, stream a thrust with a pitch for a time, and return the outcome.
 
     thrust: share of the greatest thrust.
     """
-    flight = WatchedFlight(world, world_seed=world_seed, flight=1)
+    flight = WatchedFlight(world)
     flight.hover(height_m)
     half = math.radians(tilt_deg) / 2.0
     q = (math.cos(half), 0.0, -math.sin(half), 0.0)
@@ -57,10 +55,9 @@ def fly_velocity(
     velocity: tuple[float, float, float],
     stream_s: float,
     offboard_s: float,
-    world_seed: int = 0,
 ) -> Outcome:
     """Hover, stream a velocity (m/s, NED) for a time under FS_OFFB_S, and return the outcome."""
-    flight = WatchedFlight(world, world_seed=world_seed, flight=1)
+    flight = WatchedFlight(world)
     flight.hover(height_m, FS_OFFB_S=offboard_s)
     return _streamed(flight, stream_s, lambda: flight.velocity(velocity))
 
@@ -82,7 +79,8 @@ def _streamed(flight: WatchedFlight, stream_s: float, send: Callable[[], None]) 
 
 
 def _outcome(flight: WatchedFlight, samples: list[Sample], end_us: int, down_us: int | None) -> Outcome:
-    distances = [beyond(sample, to_parameters(flight.vehicle)) for sample in samples]
+    fence = to_parameters(flight.vehicle)
+    distances = [beyond(sample, fence) for sample in samples]
     failsafe_us = next((each.t_us for each in samples if each.state is State.FAILSAFE), None)
     from_us = end_us if failsafe_us is None else failsafe_us
     return Outcome(

@@ -9,12 +9,10 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass
-from functools import cache
 from itertools import pairwise
 
-from trimtab.firmware_model.flight.failsafe import Action
 from trimtab.firmware_model.flight.supervisor import State
-from trimtab.host.vehicle import Vehicle, load_vehicle
+from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import Codec
 from trimtab.protocol.messages import HOST, Message, mavlink
@@ -22,11 +20,12 @@ from trimtab.sitl.vehicle import SimulatedVehicle
 
 STEP_US = 10_000
 """Interval of the samples."""
+FLIGHT = 1
+"""Flight index, from which noise and turbulence are drawn."""
 LINK_US = 500_000
 """Interval at which a station shows that it is alive."""
 CONTACT_M = 0.02
 """Height at which a descending vehicle counts as touching the floor."""
-_NO_ATTITUDE = mavlink.ATTITUDE_TARGET_TYPEMASK_ATTITUDE_IGNORE
 _POSITION = 0b0000_0111  # bits of type_mask that mask the position out
 _ACCELERATION, _YAW, _YAW_RATE = 0b1_1100_0000, 1 << 10, 1 << 11
 
@@ -42,8 +41,6 @@ class Sample:
     p: tuple[float, float, float]
     v: tuple[float, float, float]
     state: State
-    action: Action
-    failsafe: int
     rotors_on: bool
 
     @property
@@ -52,24 +49,13 @@ class Sample:
         return -self.p[2]
 
 
-@cache
-def watched_vehicle(name: str = "research") -> Vehicle:
-    """Return the content of a vehicle file."""
-    return load_vehicle(name)
-
-
 class WatchedFlight:
-    """A vehicle on the floor of a world, powered up, with a host that is alive and cameras that work.
-
-    Parameters
-    ----------
-    world, world_seed, flight
-        World and its draws.
-    vehicle
-        Name of the vehicle file.
+    """The vehicle `research` on the floor of a world, with a host that is alive and cameras that work.
 
     Attributes
     ----------
+    vehicle
+        Content of the vehicle file.
     now_us
         Time since power-up.
     samples
@@ -80,13 +66,11 @@ class WatchedFlight:
         Status texts of the vehicle.
     """
 
-    def __init__(
-        self, world: str, *, world_seed: int = 0, flight: int = 0, vehicle: str = "research"
-    ) -> None:
+    def __init__(self, world: str) -> None:
+        self.vehicle = load_vehicle("research")
         self._simulated = SimulatedVehicle.create(
-            watched_vehicle(vehicle), world=world, world_seed=world_seed, flight=flight, radio={"wired": True}
+            self.vehicle, world=world, flight=FLIGHT, radio={"wired": True}
         )
-        self.vehicle = watched_vehicle(vehicle)
         self.now_us = 0
         self.samples: list[Sample] = []
         self.status: m.FcStatus | None = None
@@ -114,16 +98,9 @@ class WatchedFlight:
         """Send PARAM_SET."""
         self.send(m.ParamSet(1, 1, name.encode(), value, mavlink.MAV_PARAM_TYPE_REAL32))
 
-    def attitude(
-        self,
-        thrust: float,
-        q: tuple[float, float, float, float] | None,
-        rate: tuple[float, float, float] = (0.0, 0.0, 0.0),
-    ) -> None:
-        """Send SET_ATTITUDE_TARGET; q None: body rate only."""
-        mask = _NO_ATTITUDE if q is None else 0
-        target = m.SetAttitudeTarget(0, 1, 1, mask, list(q or (1.0, 0.0, 0.0, 0.0)), *rate, thrust)
-        self.send(target)
+    def attitude(self, thrust: float, q: tuple[float, float, float, float]) -> None:
+        """Send an attitude (q_ned_frd, w first) and a share of the greatest thrust as SET_ATTITUDE_TARGET."""
+        self.send(m.SetAttitudeTarget(0, 1, 1, 0, list(q), 0.0, 0.0, 0.0, thrust))
 
     def velocity(self, v: tuple[float, float, float]) -> None:
         """Send a velocity (NED) as SET_POSITION_TARGET_LOCAL_NED."""
@@ -157,8 +134,6 @@ class WatchedFlight:
             p=p,
             v=v,
             state=State(status.state) if status is not None else State.BOOT,
-            action=Action(status.action) if status is not None else Action.NONE,
-            failsafe=status.failsafe if status is not None else 0,
             rotors_on=any(simulated.motor_command),
         )
         self.samples.append(sample)

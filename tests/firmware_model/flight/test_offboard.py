@@ -501,14 +501,19 @@ def test_rates_lost_hold_where_it_is(make_rig):
     assert rig.body.p[2] < -2.0
 
 
-def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
-    rig = make_rig(reference=False)
-    hovering(rig, 3.0)
+def tipped_over(rig, height):
+    """Hover at a height, then roll by body rates for a second."""
+    hovering(rig, height)
     target = AttitudeTarget(thrust=HOVER, rate=(6.0, 0.0, 0.0))
     offboard(rig, target)
     for _ in range(50):
         rig.run(0.02)
         rig.flight.setpoint(target, rig.now_us)
+
+
+def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
+    rig = make_rig(reference=False)
+    tipped_over(rig, 3.0)
     assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.GEOFENCE)
     speeds = []
     while rig.flight.state is State.FAILSAFE:
@@ -520,11 +525,6 @@ def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
 
 def test_rates_that_tip_it_over_stop_the_motors(make_rig):
     rig = make_rig(reference=False)
-    hovering(rig, 5.5)
-    target = AttitudeTarget(thrust=HOVER, rate=(6.0, 0.0, 0.0))
-    offboard(rig, target)
-    for _ in range(50):
-        rig.run(0.02)
-        rig.flight.setpoint(target, rig.now_us)
+    tipped_over(rig, 5.5)
     assert (rig.flight.state, rig.flight.action) == (State.FAILSAFE, Action.MOTORS_OFF)
     assert max(rig.command) == 0.0
