@@ -22,6 +22,9 @@ from trimtab.protocol.telemetry import TICK_US
 ARM, TAKEOFF = mavlink.MAV_CMD_COMPONENT_ARM_DISARM, mavlink.MAV_CMD_NAV_TAKEOFF
 REBOOT, SET_MODE = mavlink.MAV_CMD_PREFLIGHT_REBOOT_SHUTDOWN, mavlink.MAV_CMD_DO_SET_MODE
 START = (0.4, -0.2, 0.0)
+FORCE = 21196.0
+"""Parameter 2 of a disarming that is forced."""
+ROLL_STEPS = 2
 
 
 class Station:
@@ -68,17 +71,17 @@ class Station:
         raise AssertionError(f"no answer to {number}: {self.texts}")
 
     def crash(self) -> None:
-        """Take off and roll until the vehicle falls on its back."""
+        """Take off, roll and stop the motors in the air, so that the vehicle falls on its back."""
         self.run(2.0)
         assert self.result_of(ARM, 1.0) == mavlink.MAV_RESULT_ACCEPTED
         assert self.result_of(TAKEOFF, *(0.0,) * 6, 1.5) == mavlink.MAV_RESULT_ACCEPTED
         self.run(20.0, until=mavlink.TRIMTAB_STATE_HOLD)
         self.roll()
         self.send(m.CommandLong(1, 1, SET_MODE, 0, 129.0, 6.0, *(0.0,) * 5))
-        while self.state != mavlink.TRIMTAB_STATE_FAILSAFE:
+        for _ in range(ROLL_STEPS):
             self.roll()
             self.run(0.05)
-        self.run(5.0, until=mavlink.TRIMTAB_STATE_STANDBY)
+        assert self.result_of(ARM, 0.0, FORCE) == mavlink.MAV_RESULT_ACCEPTED
         self.run(3.0)
 
     def roll(self) -> None:
