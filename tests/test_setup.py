@@ -55,6 +55,7 @@ def test_venv_with_pip_installs_lock_then_checkout(tmp_path: Path) -> None:
     done, calls = set_up(tmp_path)
     assert done.returncode == 0, done.stderr
     installs = [call for call in calls if "install" in call]
+    assert all("--quiet --quiet" in call for call in installs)  # not even warnings
     assert "--require-hashes -r requirements.lock" in installs[0]
     assert "--no-deps --no-build-isolation -e ." in installs[1]
     assert (tmp_path / ".venv" / "stamp").exists()
@@ -73,7 +74,7 @@ def test_python_without_ensurepip_uses_the_systems_pip(tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     assert "-m venv --without-pip .venv" in calls
     installs = [call for call in calls if "install" in call]
-    assert all("--python .venv/bin/python install" in call for call in installs)
+    assert all("--python .venv/bin/python install --quiet --quiet" in call for call in installs)
     assert len(installs) == 2
 
 

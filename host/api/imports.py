@@ -138,6 +138,8 @@ class Imported:
         Mass that the foreign log declares, kg; None if it declares none.
     differing
         Sentences on what does not fit the vehicle file.
+    notes
+        Sentences on what is wrong with the foreign log.
     visible
         What the log does not determine, which effects it cannot show, and what was cut.
     """
@@ -150,6 +152,7 @@ class Imported:
     messages: Mapping[str, int]
     declared_mass_kg: float | None
     differing: tuple[str, ...]
+    notes: tuple[str, ...]
     visible: Visible
 
     def to_dict(self) -> dict[str, Any]:
@@ -165,6 +168,7 @@ class Imported:
             "messages": dict(self.messages),
             "mass_kg": self.flight.vehicle.mass_kg,
             "differing": list(self.differing),
+            "notes": list(self.notes),
             **self.visible.to_dict(),
         }
 
@@ -266,6 +270,7 @@ def import_log(  # noqa: PLR0913 (one keyword for each choice)
         messages=messages,
         declared_mass_kg=recording.mass_kg,
         differing=tuple(differing),
+        notes=tuple(held.notes),
         visible=Visible.of(shown, load_effects(), airframe.motor_lag_s, flight.tracking_parts),
     )
 

@@ -74,6 +74,12 @@ class ImportFormatError(TrimtabError, ValueError):
         return self.args
 
 
+class MissingFile(ImportFormatError):
+    """A foreign log does not exist."""
+
+    exit_code = 2
+
+
 class TooShort(ImportFormatError):
     """A foreign log is valid but too short."""
 
@@ -199,9 +205,9 @@ def reading(path: Path) -> Iterator[None]:
     try:
         yield
     except OSError as error:
-        raise ImportFormatError(
-            f"{path}: cannot be read ({error.strerror or error}); check the path"
-        ) from None
+        missing = isinstance(error, FileNotFoundError | NotADirectoryError)
+        kind = MissingFile if missing else ImportFormatError
+        raise kind(f"{path}: cannot be read ({error.strerror or error}); check the path") from None
 
 
 def check_readable(path: Path) -> None:

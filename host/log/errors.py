@@ -1,4 +1,4 @@
-"""Errors about logs: exit code 5 for unusable files, 2 for too little data."""
+"""Errors about logs: exit code 5 for unusable files, 2 for missing files and too little data."""
 
 from __future__ import annotations
 
@@ -13,6 +13,12 @@ class LogError(TrimtabError):
     exit_code = 5
 
 
+class MissingLog(LogError):
+    """A log does not exist."""
+
+    exit_code = 2
+
+
 NOT_OURS = "is an MCAP file of another program"
 
 
@@ -20,6 +26,12 @@ class TooLittleData(TrimtabError, ValueError):
     """Data needed to process a flight is missing, or the flights are too few. The message says what."""
 
     exit_code = 2
+
+
+def unreadable(path: Path, error: OSError) -> LogError:
+    """Return the error for a file that the system does not let read."""
+    kind = MissingLog if isinstance(error, FileNotFoundError | NotADirectoryError) else LogError
+    return kind(f"{path}: cannot be read ({error.strerror or error}); check the path")
 
 
 def foreign_log(path: Path, what: str) -> LogError:

@@ -7,7 +7,7 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
-from trimtab.host.log.errors import LogError
+from trimtab.host.log.errors import LogError, unreadable
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.scan import Entry, Scan, take_grown
 from trimtab.host.log.writer import partial_path
@@ -47,9 +47,7 @@ class LogFollower:
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise LogError(
-                f"{self._path}: cannot be read ({error.strerror or error}); check the path"
-            ) from error
+            raise unreadable(self._path, error) from error
         messages, self.content.messages = self.content.messages, []
         return messages
 

@@ -15,7 +15,7 @@ from mcap.records import Metadata
 from mcap.stream_reader import StreamReader
 
 from trimtab.host.base.artefacts import content_id
-from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
+from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log, unreadable
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
 
@@ -39,7 +39,7 @@ def read_heading(path: Path) -> Heading:
     try:
         content = path.read_bytes()
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
     if not content.startswith(MAGIC):
         raise foreign_log(path, "is not an MCAP file")
     if not content.endswith(MAGIC) or len(content) == len(MAGIC):

@@ -22,7 +22,7 @@ from mcap.records import Attachment, Channel, Chunk, Footer, Metadata, Schema
 from mcap.stream_reader import StreamReader
 
 from trimtab.host.base.bounds import LOG_CONTENT, LOG_MESSAGES, LOG_RECORD_BYTES, Bound
-from trimtab.host.log.errors import LogError, foreign_log
+from trimtab.host.log.errors import LogError, foreign_log, unreadable
 from trimtab.host.log.file_time import file_units_per_us
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
@@ -102,7 +102,7 @@ def scan(path: Path) -> Scan:
     except IsADirectoryError:
         raise foreign_log(path, "is a folder") from None
     except OSError as error:
-        raise LogError(f"{path}: cannot be read ({error.strerror or error}); check the path") from error
+        raise unreadable(path, error) from error
     if not content:
         raise LogError(f"{path}: is empty; give a flight log written by trimtab fly or trimtab import")
     if not content.startswith(MAGIC):

@@ -8,6 +8,7 @@ for a rotor that turns counter-clockwise seen from above, minus that for a clock
 from __future__ import annotations
 
 import hashlib
+import unicodedata
 from collections.abc import Mapping
 from functools import cached_property
 from types import MappingProxyType
@@ -24,9 +25,24 @@ NonNegative = Annotated[float, Field(ge=0.0)]
 Positive3 = tuple[Positive, Positive, Positive]
 NonNegative3 = tuple[NonNegative, NonNegative, NonNegative]
 Vector3 = tuple[float, float, float]
-NAME_PATTERN = r"^[A-Za-z0-9][A-Za-z0-9_-]{0,39}$"
-"""What a vehicle's name matches."""
-Name = Annotated[str, Field(pattern=NAME_PATTERN)]
+_NAME_LENGTH = 40
+
+
+def check_name(name: str) -> str:
+    """Return the name of a vehicle or route itself. Raises ValueError if it cannot be one.
+
+    Letters and digits of all alphabets are allowed, with the marks on them.
+    """
+    known = (each.isalnum() or each in "-_" or unicodedata.category(each) in ("Mn", "Mc") for each in name)
+    if not (0 < len(name) <= _NAME_LENGTH and name[0].isalnum() and all(known)):
+        raise ValueError(
+            f"{name!r}: a name has letters, digits, - and _, begins with a letter or digit, and has at most "
+            f"{_NAME_LENGTH} characters; choose another one"
+        )
+    return name
+
+
+Name = Annotated[str, AfterValidator(check_name)]
 
 
 def _ordered(interval: tuple[float, float]) -> tuple[float, float]:

@@ -16,7 +16,7 @@ import numpy as np
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.host.base.errors import UsageError
-from trimtab.host.vehicle.model import NAME_PATTERN, Rotor
+from trimtab.host.vehicle.model import Rotor
 
 INERTIA_SHARE = (0.21, 0.21, 0.38)
 """Moments of inertia over mass times the arm length squared. Published: 0.17 to 0.26, 0.32 to 0.49."""
@@ -110,12 +110,6 @@ class Facts:
     hover_share: float | None = None
     thrust_curve: tuple[float, float] | None = None
     sources: Sequence[str] = ()
-
-
-def check_name(name: str) -> None:
-    """Raise UsageError if a vehicle cannot have this name."""
-    if re.fullmatch(NAME_PATTERN, name) is None:
-        raise UsageError(f"{name}: a name has letters, digits, - and _, and at most 40 of them")
 
 
 def check_range(key: str, value: float, option: str) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from typing import Any
 
+from trimtab.host.base.extras import install_command
 from trimtab.host.verbs.options import Json, Trust, VehicleName, WorkspaceFolder
 from trimtab.host.workspace import DEFAULT_VEHICLE
 
@@ -119,7 +120,7 @@ def _learning_lines(result: dict[str, Any], peak_gflops: float | None) -> list[s
         figures = f"{row['gradient_ms']:8.2f} ms, {row['over_ours']:.1f} times ours"
         lines.append(f"  {row['name']:<24} {figures}, compiled in {row['build_s']:.0f} s")
     if result["peers"] is None:
-        lines.append("  JAX and diffrax are not installed: make bench, or pip install trimtab[bench]")
+        lines.append(f"  JAX and diffrax are not installed: run {install_command('bench')}")
     return [
         *lines,
         f"Adam, 100 epochs of 128 segments: {result['adam_100_s']:.1f} s, test RMSE "
@@ -169,7 +170,7 @@ def _planning_lines(result: dict[str, Any], peak_gflops: float | None) -> list[s
 
 def _rockit_line(result: dict[str, Any] | None) -> str:
     if result is None:
-        return "  rockit is not installed: make bench, or pip install trimtab[bench]"
+        return f"  rockit is not installed: run {install_command('bench')}"
     line = (
         f"  rockit                   {_seconds(result['seconds'])} for one course at {result['nodes']} "
         f"intervals, built in {result['build_s']:.1f} s"
@@ -182,7 +183,7 @@ def _rockit_line(result: dict[str, Any] | None) -> str:
 
 def _snap_line(result: dict[str, Any] | None) -> str:
     if result is None:
-        return "  minsnap-trajectories is not installed: make bench, or pip install trimtab[bench]"
+        return f"  minsnap-trajectories is not installed: run {install_command('bench')}"
     return (
         f"  minsnap-trajectories     {result['ms']:8.2f} ms for a spline of {result['waypoints']} waypoints: "
         f"{result['ms'] / result['ours_ms']:.0f} times ours"

@@ -12,6 +12,7 @@ from trimtab.host.verbs.options import Force, Json, Trust, WorkspaceFolder
 
 if TYPE_CHECKING:
     from trimtab.host.api.imports import ForeignLog, Imported, Visible
+    from trimtab.host.base.errors import TrimtabError
 
 
 def command(  # noqa: PLR0913 (one keyword for each option)
@@ -27,6 +28,8 @@ def command(  # noqa: PLR0913 (one keyword for each option)
     force: Force = False,
 ) -> None:
     """Say what a foreign flight log holds, or convert it to a Trimtab log.
+
+    A file that cannot be imported ends with the same exit code with and without -o.
 
     Parameters
     ----------
@@ -55,7 +58,10 @@ def command(  # noqa: PLR0913 (one keyword for each option)
     path, format = Path(words[-1]), words[0] if len(words) == 2 else None
     if output is None:
         given = ForeignLog.of(path, format, columns=columns, topics=topics)
-        emit({"format": given.format, "recognised": given.recognised, **_look(given)}, json)
+        answer, problem = _look(given)
+        emit({"format": given.format, "recognised": given.recognised, **answer}, json)
+        if problem is not None:
+            raise problem
         return
     imported = import_log(
         path,
@@ -83,14 +89,16 @@ def _print(imported: Imported) -> None:
         f"{imported.log}: {flight.duration_s:.1f} s of {flight.vehicle.name}{mass}, "
         f"{sum(imported.messages.values())} messages"
     )
+    say(*(f"note: {note}" for note in imported.notes))
     for line in imported.differing:
         warn(line)
     _print_visible(imported.visible)
 
 
-def _look(given: ForeignLog) -> dict[str, Any]:
-    """Print what the file holds, and return it."""
+def _look(given: ForeignLog) -> tuple[dict[str, Any], TrimtabError | None]:
+    """Print what the file holds. Return it, and why it cannot be imported."""
     from trimtab.host.api.imports import Visible
+    from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import say
     from trimtab.host.effects import load_effects
     from trimtab.host.imports.airborne import airborne
@@ -105,10 +113,11 @@ def _look(given: ForeignLog) -> dict[str, Any]:
         say(f"  {topic.name}  {topic.count} samples" + (f", {topic.rate_hz:.1f} Hz" if topic.rate_hz else ""))
     for note in held.notes:
         say(f"note: {note}")
-    effects, problem = load_effects(), None
+    effects = load_effects()
+    problem: TrimtabError | None = None
     visible = Visible(invisible_effects={name: "not imported" for name in effects})
     if given.format == "csv" and given.columns is None:
-        problem = "a CSV file needs a column map: give it with --columns MAP.toml"
+        problem = UsageError("a CSV file needs a column map: give it with --columns MAP.toml")
     else:
         try:
             recording = given.read()
@@ -116,23 +125,23 @@ def _look(given: ForeignLog) -> dict[str, Any]:
             recording = replace(recording, cut=(*recording.cut, *cut))
             visible = Visible.of(recording, effects, TYPICAL_LAG_S, flights_us)
         except ImportFormatError as error:
-            problem = str(error)
+            problem = error
     if problem is None:
         _print_visible(visible)
-    else:
-        say(f"cannot be imported: {problem}")
     profile = LOGGING_PROFILES.get(given.format)
     hidden = [name for name in visible.invisible_effects if not effects[name].noise_dependent]
     if profile is not None and (problem is not None or hidden):
         say(f"to show more, log with {profile}")
     if problem is None:
         say("import it with --vehicle VEHICLE -o LOG.mcap")
-    return {
+    answer = {
         "topics": [asdict(topic) for topic in held.topics],
+        "notes": list(held.notes),
         "log": None,
-        "problem": problem,
+        "problem": None if problem is None else str(problem),
         **visible.to_dict(),
     }
+    return answer, problem
 
 
 def _print_visible(visible: Visible) -> None:

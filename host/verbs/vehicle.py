@@ -64,12 +64,17 @@ def new(name: str, *, options: NewOptions) -> None:
         Name of the vehicle: letters, digits, - and _.
     """
     from trimtab.host.base import artefacts
+    from trimtab.host.base.errors import UsageError
     from trimtab.host.base.output import emit, say
     from trimtab.host.vehicle import parse_vehicle
-    from trimtab.host.vehicle.typical import check_name, typical_file
+    from trimtab.host.vehicle.model import check_name
+    from trimtab.host.vehicle.typical import typical_file
     from trimtab.host.workspace import open_workspace
 
-    check_name(name)
+    try:
+        check_name(name)
+    except ValueError as error:
+        raise UsageError(str(error)) from None
     facts, notes = _facts(options)
     text = typical_file(name, facts)
     vehicle = parse_vehicle(text, name)

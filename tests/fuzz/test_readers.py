@@ -28,7 +28,7 @@ FEWEST_READ = {"betaflight": 0, "bag": 100, "mcap": 100}
 def test_damaged_logs_are_read_or_refused_in_one_line(name: str) -> None:
     library = READERS[name].library
     if library is not None:
-        pytest.importorskip(library, reason=f"{library} is not installed; pip install 'trimtab[logs]'")
+        pytest.importorskip(library, reason=f"{library} is not installed; pip install -e '.[logs]'")
     report = run(name, INPUTS, SEED)
     assert [f"{name}:{crash.index} {crash.error}" for crash in report.crashes] == []
     assert report.inputs == INPUTS

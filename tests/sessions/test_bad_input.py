@@ -304,14 +304,62 @@ def test_cut_log_that_is_recovered_can_be_read(
 def test_file_that_is_no_log_is_unreadable(refused: Refused, ref: str) -> None:
     for verb in (("trace",), ("learn",), ("log", "info"), ("log", "recover")):
         refused(*verb, ref, code=5, parts=["eight.ref: is not an MCAP file", "`trimtab import eight.ref`"])
-        refused(*verb, "nowhere.mcap", code=5, parts=["nowhere.mcap: cannot be read", "check the path"])
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("trace", "nowhere.mcap"),
+        ("learn", "nowhere.mcap"),
+        ("log", "info", "nowhere.mcap"),
+        ("log", "recover", "nowhere.mcap"),
+        ("log", "export", "nowhere.mcap"),
+        ("show", "nowhere.mcap"),
+        ("lineage", "nowhere.mcap"),
+        ("compare", "nowhere.mcap", "nowhere.mcap"),
+        ("predict", "nowhere.model.toml", "nowhere.mcap"),
+        ("vehicle", "check", "nowhere.mcap"),
+        ("import", "nowhere.bag"),
+        ("import", "csv", "nowhere.csv", "--columns", "map.toml"),
+        ("import", "rosbag", "nowhere.bag", "--vehicle", "nano", "-o", "x.mcap"),
+        ("plan", "nowhere.toml"),
+        ("plan", "figure-eight", "--model", "nowhere.model.toml"),
+        ("fly", "nowhere.ref"),
+        ("correct", "nowhere.model.toml"),
+        ("export", "nowhere.ref", "--format", "crazyflie"),
+    ],
+    ids=lambda words: "-".join(words[:2]),
+)
+def test_missing_input_file_has_one_exit_code(
+    refused: Refused, tmp_path: Path, words: tuple[str, ...]
+) -> None:
+    (tmp_path / "map.toml").write_text(MAP)
+    refused(*words, code=2, parts=["nowhere."])
+
+
+@pytest.mark.parametrize(
+    ("words", "code"),
+    [
+        (("import", "csv", "hover.csv"), 2),
+        (("import", "csv", "hover.csv", "--columns", "map.toml"), 5),
+    ],
+)
+def test_import_of_what_cannot_be_imported_fails_without_output_too(
+    run: Callable[..., tuple[int, dict[str, Any], str]], tmp_path: Path, words: tuple[str, ...], code: int
+) -> None:
+    (tmp_path / "map.toml").write_text(MAP)
+    (tmp_path / "hover.csv").write_text("t,x\n0,1\n1,1\n2,1\n")
+    ended, answer, complaint = run(*words)
+    assert ended == code
+    assert answer["problem"] == complaint.strip().removeprefix("trimtab: ")
+    assert run(*words, "--vehicle", "nano", "-o", "x.mcap")[0] == code
 
 
 @pytest.mark.parametrize("verb", [("trace",), ("learn",), ("log", "info"), ("log", "recover"), ("show",)])
 def test_bag_of_ros_names_its_import(
     refused: Refused, ref: str, tmp_path: Path, verb: tuple[str, ...]
 ) -> None:
-    pytest.importorskip("rosbags", reason="rosbags is not installed; pip install 'trimtab[logs]'")
+    pytest.importorskip("rosbags", reason="rosbags is not installed; pip install -e '.[logs]'")
     write_bag(read_reference(tmp_path / ref), 20.0, tmp_path / "bag")
     inside = tmp_path / "bag" / "bag.mcap"
     (tmp_path / "ros.mcap").write_bytes(inside.read_bytes())

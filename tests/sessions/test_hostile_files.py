@@ -141,7 +141,7 @@ def test_hostile_file_is_refused_in_one_line_with_little_memory(case: str, tmp_p
     make, code, told = CASES[case]
     if case in LIBRARIES:
         library = LIBRARIES[case]
-        pytest.importorskip(library, reason=f"{library} is not installed; pip install 'trimtab[logs]'")
+        pytest.importorskip(library, reason=f"{library} is not installed; pip install -e '.[logs]'")
     words = make(tmp_path)
     if case == "weights of 4 GiB":
         hostile.sparse(tmp_path / "a.model.npz", (tmp_path / "a.model.npz").read_bytes())

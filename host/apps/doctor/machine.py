@@ -8,6 +8,7 @@ import tempfile
 from pathlib import Path
 
 from trimtab.host.apps.doctor.check import Check
+from trimtab.host.base.extras import install_command
 from trimtab.host.codegen.compiler import (
     ENGINE_VARIABLE,
     CodegenError,
@@ -36,7 +37,7 @@ def compiled_code() -> Check:
             text, remedy = f"not used, since {ENGINE_VARIABLE} is vm: {_SLOWER}", f"unset {ENGINE_VARIABLE}"
         else:
             text = f"no C compiler: {_SLOWER}"
-            remedy = "install cc, gcc or clang, or run pip install 'trimtab[compiler]'"
+            remedy = f"install cc, gcc or clang, or run {install_command('compiler')}"
         return Check(name=name, status="note", text=text, remedy=remedy)
     try:
         with tempfile.TemporaryDirectory(prefix="trimtab-") as folder:

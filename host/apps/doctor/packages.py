@@ -8,6 +8,7 @@ from importlib import metadata
 
 from trimtab.host.apps.doctor.check import Check
 from trimtab.host.base.artefacts import version
+from trimtab.host.base.extras import install_command, requirements
 
 EXTRAS = {
     "logs": "no imports of PX4 and ROS logs, and no export of ROS bags",
@@ -15,7 +16,7 @@ EXTRAS = {
     "clients": "no flights by MAVProxy and MAVSDK",
 }
 """Optional parts, and what does not work without each. The compiler has a check of its own."""
-_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[\w,-]+\])?\s*(?:>=\s*([\d.]+))?(?:.*extra == ['\"]([\w-]+)['\"])?")
+_REQUIREMENT = re.compile(r"([\w.-]+)(?:\[[\w,-]+\])?\s*(?:>=\s*([\d.]+))?")
 
 
 def python() -> Check:
@@ -43,7 +44,7 @@ def extras() -> list[Check]:
     for extra, lost in EXTRAS.items():
         wrong, name = missing(extra), f"extra {extra}"
         if wrong:
-            text, remedy = f"{'; '.join(wrong)}: {lost}", f"run pip install 'trimtab[{extra}]' for them"
+            text, remedy = f"{'; '.join(wrong)}: {lost}", f"run {install_command(extra)}"
             checks.append(Check(name=name, status="note", text=text, remedy=remedy))
         else:
             checks.append(Check(name=name, status="ok", text="installed"))
@@ -53,9 +54,9 @@ def extras() -> list[Check]:
 def missing(extra: str | None) -> list[str]:
     """Return what is wrong with the packages of an extra, or for None with those always needed."""
     wrong = []
-    for requirement in metadata.requires("trimtab") or ():
+    for requirement in requirements(extra):
         match = _REQUIREMENT.match(requirement)
-        if match is None or match[3] != extra:
+        if match is None:
             continue
         name, bound = match[1], match[2]
         try:

@@ -51,7 +51,7 @@ def pseudo_terminal() -> Check:
         reason = ""
     if passed == _BYTES:
         return Check(name=name, status="ok", text="passes bytes unchanged")
-    remedy = "mount /dev/pts; until then, use tcp:HOST:PORT for trimtab sitl"
+    remedy = "run sudo mount -t devpts devpts /dev/pts; until then, use sitl --port tcp:127.0.0.1:47300"
     text = f"none works{reason}: no trimtab demo, and no trimtab sitl --port pty"
     return Check(name=name, status="problem", text=text, remedy=remedy)
 

@@ -12,6 +12,7 @@ from collections.abc import Callable, Mapping, Sequence
 from contextlib import ExitStack
 from dataclasses import dataclass, replace
 from functools import cache
+from itertools import islice
 from pathlib import Path
 from typing import Annotated, Any, Literal, get_args
 
@@ -29,6 +30,7 @@ from trimtab.host.imports.frames import Body, World, q_ned_frd, to_frd, to_ned, 
 from trimtab.host.imports.recording import (
     Corner,
     ImportFormatError,
+    MissingFile,
     Recording,
     fresh,
 )
@@ -39,6 +41,8 @@ from trimtab.host.vehicle.strict_toml import Strict, read_strict
 Quantity = Literal["pose", "position", "attitude", "imu", "motors", "voltage", "reference"]
 
 QUANTITIES: tuple[Quantity, ...] = get_args(Quantity)
+
+_ROTORS = 4
 
 MAGICS = (b"#ROSBAG V", b"\x89MCAP0\r\n", b"SQLite format 3\x00")
 OWN_LIBRARY = b"trimtab"
@@ -137,10 +141,10 @@ KINDS: dict[str, Kind] = {
         quantity="imu", take=lambda m: (*m.gyro_rad, *m.accelerometer_m_s2), body="frd"
     ),
     "px4_msgs/msg/ActuatorMotors": Kind(
-        quantity="motors", take=lambda m: tuple(m.control[:4]), corners=PX4_CORNERS
+        quantity="motors", take=lambda m: tuple(m.control[:_ROTORS]), corners=PX4_CORNERS
     ),
-    "actuator_msgs/msg/Actuators": Kind(quantity="motors", take=lambda m: tuple(m.normalized[:4])),
-    "mav_msgs/msg/Actuators": Kind(quantity="motors", take=lambda m: tuple(m.normalized[:4])),
+    "actuator_msgs/msg/Actuators": Kind(quantity="motors", take=lambda m: tuple(m.normalized[:_ROTORS])),
+    "mav_msgs/msg/Actuators": Kind(quantity="motors", take=lambda m: tuple(m.normalized[:_ROTORS])),
     "sensor_msgs/msg/BatteryState": Kind(quantity="voltage", take=lambda m: (m.voltage,)),
     "px4_msgs/msg/BatteryStatus": Kind(quantity="voltage", take=lambda m: (m.voltage_v,)),
     "px4_msgs/msg/TrajectorySetpoint": Kind(
@@ -165,6 +169,7 @@ def contents(path: Path) -> Contents:
                 topic(f"{c.topic} ({c.msgtype})", c.msgcount, bag.duration_s) for c in bag.connections
             ),
             duration_s=bag.duration_s,
+            notes=bag.notes(),
         )
 
 
@@ -246,7 +251,7 @@ class _Bag:
         highlevel = optional("rosbags.highlevel", "logs")
         self._name = path.name
         if not path.exists():
-            raise ImportFormatError(f"{path}: cannot be read (no such file); check the path")
+            raise MissingFile(f"{path}: cannot be read (no such file); check the path")
         self._bounds, self._budget = ExitStack(), None
         try:
             self._budget = self._bounds.enter_context(bounded(path))
@@ -276,6 +281,8 @@ class _Bag:
     def streams(self, topics: TopicMap) -> dict[Quantity, _Stream]:
         """Return the values of each quantity that the bag holds."""
         chosen = self._chosen(topics)
+        if not chosen:
+            return {}  # without connections, the reader would give all messages
         stamps = {c.id: array("q") for c in chosen.values()}
         received = {c.id: array("q") for c in chosen.values()}
         values = {c.id: array("d") for c in chosen.values()}
@@ -290,12 +297,31 @@ class _Bag:
         streams: dict[Quantity, _Stream] = {}
         for quantity, c in chosen.items():
             count = len(received[c.id])
+            if quantity == "motors" and len(values[c.id]) != _ROTORS * count:
+                continue  # not four commands in each message; see `notes`
             track = _track(stamps[c.id], received[c.id], values[c.id]) if count > 1 else None
             if track is not None and len(track.t_us) > 1:
                 kind = KINDS[c.msgtype]
                 axes = {"world": topics.world or kind.world, "body": topics.body or kind.body}
                 streams[quantity] = _Stream(kind=replace(kind, **axes), track=track)
         return streams
+
+    def notes(self) -> tuple[str, ...]:
+        """Return a line for each topic of motors whose first message has no four motor commands."""
+        motors = [c for c in self.connections if c.msgtype in KINDS and KINDS[c.msgtype].quantity == "motors"]
+        lines = []
+        try:
+            for c in motors:
+                for _, _, raw in islice(self._reader.messages(connections=[c]), 1):
+                    count = len(KINDS[c.msgtype].take(self._reader.deserialize(raw, c.msgtype)))
+                    if count != _ROTORS:
+                        lines.append(
+                            f"{escaped(c.topic)}: {count} motor commands in a message, where {_ROTORS} are "
+                            "needed (angular velocities are not read); the motors are left out"
+                        )
+        except Exception as error:
+            raise self._damaged(error) from None
+        return tuple(lines)
 
     def _chosen(self, topics: TopicMap) -> dict[Quantity, Any]:
         """Return the topic of each quantity.

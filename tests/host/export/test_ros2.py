@@ -13,7 +13,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.export.ros2 import TOPICS, write_bag
 from trimtab.host.export.samples import at_rate
 
-pytest.importorskip("rosbags", reason="rosbags is not installed; pip install 'trimtab[logs]'")
+pytest.importorskip("rosbags", reason="rosbags is not installed; pip install -e '.[logs]'")
 
 
 def test_bag_holds_the_reference_in_enu(tmp_path: Path) -> None:

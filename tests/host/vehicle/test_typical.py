@@ -15,7 +15,6 @@ from trimtab.host.vehicle.typical import (
     RANGES,
     Facts,
     arm_length,
-    check_name,
     check_range,
     parse_propeller,
     square_rotors,
@@ -126,13 +125,6 @@ def test_hover_thrust_and_curve_replace_the_guesses() -> None:
     assert vehicle.tolerance("thrust-gain", "gain", 1.0) < typical("middle").tolerance(
         "thrust-gain", "gain", 0
     )
-
-
-@pytest.mark.parametrize("name", ["", "-x", "a b", "x" * 41, 'a"b', "é"])
-def test_name_that_no_file_can_have_is_refused(name: str) -> None:
-    with pytest.raises(UsageError) as caught:
-        check_name(name)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(

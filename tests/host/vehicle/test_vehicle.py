@@ -18,6 +18,7 @@ from trimtab.host.vehicle import (
     parse_vehicle,
     to_parameters,
 )
+from trimtab.host.vehicle.model import check_name
 from trimtab.protocol.parameters import BY_NAME, DEFAULTS
 
 SHIPPED = ("nano", "research")
@@ -34,6 +35,21 @@ def problems(text: str) -> list[str]:
 @pytest.fixture(scope="module")
 def research() -> Vehicle:
     return load_vehicle("research")
+
+
+@pytest.mark.parametrize(
+    "name", ["", "-x", "a b", "x" * 41, 'a"b', "a/b", "a\n", "\u0301a", "a\u200b", "a.b"]
+)
+def test_name_that_no_file_can_have_is_refused(name: str) -> None:
+    with pytest.raises(ValueError, match="a name has letters") as caught:
+        check_name(name)
+    assert "\n" not in str(caught.value)
+
+
+@pytest.mark.parametrize("name", ["mine-2", "é", "e\u0301té_1", "机架", "квадро", "क्वाड", "٥x"])
+def test_name_may_have_letters_of_all_alphabets(name: str, research: Vehicle) -> None:
+    assert check_name(name) == name
+    assert parse_vehicle(research.replace(name=name).to_toml(), "x.toml").name == name
 
 
 def test_shipped_vehicles_are_listed() -> None:
@@ -192,7 +208,7 @@ def test_wrong_keys_hide_neither_the_boards_bounds_nor_what_lies_between_keys(re
         ("cells = 4", "cells = 4.5", "battery.cells: 4.5 is not a whole number"),
         ('spin = "cw"', 'spin = "ccw"', "rotors: these rotors cannot turn"),
         ("thrust_headroom = [0.08, 0.65]", "thrust_headroom = [0.08, 1.65]", "limits.thrust_headroom"),
-        ('name = "research"', 'name = "../up"', "name: '../up' is not valid"),
+        ('name = "research"', 'name = "../up"', "name: '../up': a name has letters"),
         ("[battery]", "[battery", "not valid TOML"),
     ],
 )  # fmt: skip

@@ -206,4 +206,4 @@ def test_verb_without_the_library_names_the_extra(
     monkeypatch.setitem(sys.modules, "foxglove", None)
     code, _, complaint = run_trimtab("watch", str(flown[0].log), "--port", "0")
     assert code == 2
-    assert "trimtab[watch]" in complaint
+    assert "foxglove-sdk" in complaint

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import json
 import os
+import shlex
+import sys
 from pathlib import Path
 
 import pytest
@@ -12,6 +14,7 @@ from trimtab.host import cli
 from trimtab.host.apps.doctor import files, machine, packages, ports
 from trimtab.host.apps.doctor.check import Check
 from trimtab.host.apps.doctor.run import _done, all_checks
+from trimtab.host.base import extras
 from trimtab.host.codegen import find_compiler
 from trimtab.host.workspace import make_workspace
 
@@ -97,13 +100,29 @@ def test_cache_that_cannot_be_made_is_a_note_and_exit_code_0(
     assert printed.err == ""
 
 
+@pytest.mark.parametrize(
+    ("uv", "command"),
+    [
+        ("/bin/uv", f"uv pip install --python {sys.executable}"),
+        (None, f"pip --python {sys.executable} install"),
+    ],
+)
+def test_missing_extra_of_a_python_without_pip_names_another_installer(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, uv: str | None, command: str
+) -> None:
+    install(tmp_path, monkeypatch, "no-such-reader>=1.3,<2; extra == 'logs'")
+    monkeypatch.setattr(extras, "find_spec", lambda _: None)
+    monkeypatch.setattr(extras.shutil, "which", lambda _: uv)
+    assert extras.install_command("logs") == f"{command} 'no-such-reader>=1.3,<2'"
+
+
 def test_missing_extra_is_a_note_that_names_it(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     optional = ("no-such-reader>=1.3; extra == 'logs'", "numpy; extra == 'watch'")
     install(tmp_path, monkeypatch, "numpy>=2", *optional)
     logs, watch, _ = packages.extras()
     assert (logs.name, logs.status) == ("extra logs", "note")
     assert logs.text.startswith("no-such-reader is not installed: no imports of PX4")
-    assert logs.remedy == "run pip install 'trimtab[logs]' for them"
+    assert logs.remedy == f"run {shlex.quote(sys.executable)} -m pip install 'no-such-reader>=1.3'"
     assert watch.status == "ok"
     assert packages.required().status == "ok"
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import dataclasses
 import sqlite3
 from contextlib import closing
 from pathlib import Path
@@ -15,7 +16,7 @@ from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.contents import topic
 from trimtab.host.imports.formats.rosbag import contents, read
 
-pytest.importorskip("rosbags", reason="rosbags is not installed; pip install 'trimtab[logs]'")
+pytest.importorskip("rosbags", reason="rosbags is not installed; pip install -e '.[logs]'")
 
 
 @pytest.fixture
@@ -28,6 +29,33 @@ def file_of(tmp_path: Path, made_up: Any) -> Any:
         return target if kind == "ros1" else next(p for p in target.iterdir() if p.suffix != ".yaml")
 
     return write
+
+
+@pytest.mark.parametrize("count", [0, 3])
+def test_bag_without_four_motor_commands_is_read_without_them_and_says_so(
+    tmp_path: Path, made_up: Any, count: int
+) -> None:
+    flight = in_axes(made_up.cut(slice(400, 500)), "nwu", "flu")
+    flight = dataclasses.replace(flight, motor=flight.motor[:, :count])
+    write_bag(flight, tmp_path / "a.bag", "ros1")
+    recording = read(tmp_path / "a.bag")
+    assert recording.motor_command is None
+    assert recording.input_us is None
+    (note,) = contents(tmp_path / "a.bag").notes
+    assert f"/cf0/motors: {count} motor commands" in note
+
+
+def test_bag_without_a_known_topic_says_which_to_record(tmp_path: Path) -> None:
+    from rosbags import rosbag1, typesys
+
+    store = typesys.get_typestore(typesys.Stores.ROS1_NOETIC)
+    text = "std_msgs/msg/String"
+    with rosbag1.Writer(tmp_path / "a.bag") as writer:
+        connection = writer.add_connection("/said", text, typestore=store)
+        for k in range(3):
+            writer.write(connection, k, store.serialize_ros1(store.types[text](data="x"), text))
+    with pytest.raises(ImportFormatError, match="no topic with poses"):
+        read(tmp_path / "a.bag")
 
 
 @pytest.mark.parametrize(

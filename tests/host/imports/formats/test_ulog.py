@@ -21,7 +21,7 @@ from trimtab.host.imports import ImportFormatError
 from trimtab.host.imports.formats import recognise, ulog
 from trimtab.host.imports.formats.ulog import read
 
-pytest.importorskip("pyulog", reason="pyulog is not installed; pip install 'trimtab[logs]'")
+pytest.importorskip("pyulog", reason="pyulog is not installed; pip install -e '.[logs]'")
 
 FLIGHTS = Path(__file__).parents[5] / "shared" / "data"
 
