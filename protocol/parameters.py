@@ -221,8 +221,8 @@ PARAMETERS: tuple[Parameter, ...] = (
     _row("FS_LOOP_S", 1.0, "s", 0.01, 600.0, "time over which late ticks are counted"),
     _row("FS_FENCE_M", 0.5, "m", 0.0, 1000.0, "distance beyond the flight volume that counts as leaving it"),
     _row("FS_FENCE_S", 0.5, "s", 0.0, 60.0, "time beyond FS_FENCE_M before the vehicle lands"),
-    _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent without position"),
-    _row("FS_BLIND_S", 5.0, "s", 0.5, 60.0, "time that the level descent follows dead-reckoned velocity"),
+    _row("FS_SINK_SPEED", 0.7, "m/s", 0.05, 5.0, "speed of the level descent near the floor"),
+    _row("FS_BLIND_S", 12.0, "s", 0.5, 60.0, "time that the level descent follows dead-reckoned velocity"),
     _row("FS_BLIND_END_S", 3.0, "s", 2.0, 60.0, "time after FS_BLIND_S at which the level descent ends"),
 )
 

@@ -5,10 +5,12 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from pathlib import Path
 
 from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT
+from trimtab.firmware_model.flight.dead_reckoning import DRIFT, NEAR_M
 from trimtab.firmware_model.flight.envelope import (
     IMPACT_SPEED,
     RISING_SHARE,
@@ -31,6 +33,7 @@ from trimtab.firmware_model.flight.setpoints import SHORTEST_S
 from trimtab.firmware_model.flight.supervisor import COMMANDS, FAILURES, Event, State, update
 from trimtab.firmware_model.flight.track import FAST_SPEED, SLOW_HEIGHT
 from trimtab.firmware_model.flight.verdict import BATTERY_LOW_CELL_V
+from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.estimator import INTERVAL_MAX_S
 from trimtab.protocol.parameters import BY_NAME
 from trimtab.protocol.telemetry import TICK_US
@@ -58,8 +61,15 @@ _BEHIND = """
   failure disarms. In standby, most of these conditions refuse arming.
 - "In place" is where the reference stops. A vehicle that is pushed away from there returns when the push
   ends. The distance is the acceleration of the push over POS_P, with the default 0.17 m for each m/s^2.
-- "Level descent" keeps attitude and sink rate, not position. The rotors stop when something carries the
-  vehicle, that is, when the force exceeds, by a step, what their thrust has produced so far in the descent.
+- "Level descent" keeps attitude and sink rate by dead reckoning, not position. Its velocity is that of the
+  accelerometer, less the bias that the poses showed before. From a height it sinks at up to {fast:g} m/s, and
+  at `FS_SINK_SPEED` from {slow:g} m above the floor. After `FS_BLIND_S` it relies on thrust alone, sinks
+  faster, and stops the rotors at the latest `FS_BLIND_END_S` later.
+- A level descent ends when the floor carries the vehicle, that is, when the force exceeds, by a step, what
+  thrust has produced so far in the descent. Before `FS_BLIND_S` this counts only below a dead-reckoned height
+  of {near:g} m, plus {drift:g} m for each second since the last pose: higher up, it is air.
+- An attitude error accelerates a level descent sideways, by {tilted:.2f} m/s^2 for each degree. If the camera
+  frame or the markers slipped shortly before, the touchdown may be at several m/s.
 
 ## Arming checks
 
@@ -159,7 +169,14 @@ def page() -> str:
         (
             _HEAD.format(look_ms=UPDATE_TICKS * TICK_US // 1000),
             *map(_row, CONDITIONS),
-            _BEHIND.format(ranks=ranks),
+            _BEHIND.format(
+                ranks=ranks,
+                fast=FAST_SPEED,
+                slow=SLOW_HEIGHT,
+                near=NEAR_M,
+                drift=DRIFT,
+                tilted=math.radians(GRAVITY),
+            ),
             *(f"| {check.name} | {_text(check.text)} |\n" for check in CHECKS),
             _REFERENCE.format(
                 tilt=_default("ARM_TILT_DEG"),

@@ -29,6 +29,8 @@ _FLIGHT_GAIN = 0.005  # of the thrust ratio in each update: a time constant of 2
 _DESCENT_GAIN = 0.02  # likewise in a level descent: 0.5 s
 TOUCH_US = 200_000
 """Time for which a sign of touchdown must last."""
+SURE_TOUCH_US = 1_000_000
+"""Time for which the floor's force must last while the vehicle still seems to sink."""
 
 _EVENTS = (
     Event.TILTED,
@@ -207,21 +209,31 @@ class ConditionMonitor:
         self.thrust_ratio += share * (ratio - self.thrust_ratio)
 
     def update_support(
-        self, now_us: int, *, force: float, thrust: float, expected_excess: float, learn: bool
+        self,
+        now_us: int,
+        *,
+        force: float,
+        thrust: float,
+        expected_excess: float,
+        learn: bool,
+        near: bool,
+        stopped: bool,
     ) -> bool:
         """Update with force and thrust over mass (m/s^2, up); return whether the floor carries the vehicle.
 
         expected_excess: how far force exceeds thrust (m/s^2) once the floor carries the vehicle. learn:
         whether a slow change of the excess updates the thrust ratio. Such changes come from an air flow that
-        varies with height, a tether that slackens, or ground effect.
+        varies with height, a tether that slackens, or ground effect. near: whether the floor can be this
+        high. stopped: whether the dead-reckoned descent has stopped; without that, the force must last
+        longer.
         """
         bound = min(max(0.5 * expected_excess, TOUCH_FORCE), TOUCH_FORCE_MAX)
-        touching = force - self.thrust_ratio * thrust > bound
+        touching = near and force - self.thrust_ratio * thrust > bound
         if learn and not touching:
             self.update_thrust_ratio(force=force, thrust=thrust, share=_DESCENT_GAIN)
-        return self._touch_lasted(now_us, touching)
+        return self._touch_lasted(now_us, touching, TOUCH_US if stopped else SURE_TOUCH_US)
 
-    def _touch_lasted(self, now_us: int, touching: bool) -> bool:
+    def _touch_lasted(self, now_us: int, touching: bool, least_us: int = TOUCH_US) -> bool:
         if not touching:
             self._no_touch_us = now_us
-        return now_us - self._no_touch_us >= TOUCH_US
+        return now_us - self._no_touch_us >= least_us

@@ -18,6 +18,7 @@ from trimtab.firmware_model.flight.condition_monitor import (
     fence,
 )
 from trimtab.firmware_model.flight.course import Course
+from trimtab.firmware_model.flight.dead_reckoning import DeadReckoning, near_floor_m
 from trimtab.firmware_model.flight.engine import Engine, doubles
 from trimtab.firmware_model.flight.envelope import Motion, stops_outside
 from trimtab.firmware_model.flight.estimate import Estimate
@@ -35,9 +36,12 @@ from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import mat_vec, quat_to_matrix
 from trimtab.protocol.messages import Station, station_name
+from trimtab.protocol.telemetry import TICK_US
 
 OFF_TRACK_M = 0.5
 """Distance (m) from its reference beyond which a vehicle is judged by its own stopping point."""
+POSES_US = 200_000
+"""Time since the last pose within which poses count as arriving."""
 BOOT_US = 200_000
 """Time from power to standby."""
 UPDATE_TICKS = 10
@@ -123,6 +127,7 @@ class Flight:
         )
         self._player, self._offboard = self._phases.player, self._phases.offboard
 
+        self._dead_reckoning = DeadReckoning(self._memory)
         self._estimate = Estimate(inputs, parameters)
         self.poses, self.calibration = self._estimate.poses, self._estimate.calibration
         self._stillness = StillnessDetector()
@@ -294,8 +299,13 @@ class Flight:
             if self._update_descent(now_us):
                 self.handle_event(Event.TOUCHDOWN, now_us)
         elif self._flying and self.height_m > 2.0 * self.parameters["LAND_HEIGHT"]:
-            if self._cos_tilt[0] > LEVEL:
-                self.monitor.update_thrust_ratio(force=-self._force[2], thrust=self._phases.lagged_thrust)
+            level = self._cos_tilt[0] > LEVEL
+            if level and now_us - self.monitor.pose_us <= POSES_US:
+                self._dead_reckoning.learn(now_us)
+            else:
+                self._dead_reckoning.pause()
+            if level:
+                self.monitor.update_thrust_ratio(force=self._lift, thrust=self._phases.lagged_thrust)
             self._observing[0] = 1.0
 
     def _observe(self, now_us: int, battery_v: float) -> None:
@@ -329,6 +339,11 @@ class Flight:
         )
         box = fence(self.parameters, self.parameters["FS_FENCE_M"])
         return stops_outside(self._phases.envelope, motion, box, self._phases.floor)
+
+    @property
+    def _lift(self) -> float:
+        """Specific force along -z (m/s^2) without the accelerometer's bias, for a level vehicle."""
+        return -(self._force[2] + self._dead_reckoning.correction[2])
 
     # Entry actions of the states.
 
@@ -439,6 +454,7 @@ class Flight:
         if self.action is Action.LAND_IN_PLACE:
             phases.land(reference_state, now_us)
         elif self.action is Action.LEVEL_DESCENT:
+            self._dead_reckoning.start(1e-6 * (now_us - self.monitor.pose_us), self.parameters)
             phases.descend_level(reference_state[1][0], self.monitor.thrust_ratio, now_us)
         elif self.action is Action.MOTORS_OFF:
             phases.fall(now_us)
@@ -460,13 +476,16 @@ class Flight:
         memory = self._memory
         if self.action is Action.LEVEL_DESCENT:
             phases, monitor = self._phases, self.monitor
+            self._dead_reckoning.apply(1e-6 * UPDATE_TICKS * TICK_US)
             phases.go_blind(monitor.thrust_ratio, now_us)
             return monitor.update_support(
                 now_us,
-                force=-self._force[2],
+                force=self._lift,
                 thrust=phases.lagged_thrust,
                 expected_excess=phases.floor_force,
                 learn=not phases.blind,
+                near=phases.blind or self.height_m < near_floor_m(now_us - monitor.pose_us),
+                stopped=memory[5] < 0.5 * self.parameters["FS_SINK_SPEED"],
             )
         return self.monitor.update_touchdown(
             now_us,

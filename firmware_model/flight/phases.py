@@ -269,7 +269,8 @@ class Phases:
     def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
         """Descend with velocity feedback only, and after FS_BLIND_S without position or velocity feedback.
 
-        thrust_ratio: actual over nominal thrust, estimated while position was known.
+        thrust_ratio: actual over nominal thrust, estimated while position was known. From a height the
+        vehicle first sinks faster, because dead reckoning gets worse with time.
         """
         memory, values = self._memory, self._parameters
         blind_us = values.us("FS_BLIND_S")
@@ -277,6 +278,7 @@ class Phases:
             self._position(),
             (memory[3], memory[4], memory[5]),
             yaw,
+            floor=self.floor,
             speed=values["FS_SINK_SPEED"],
             damped_us=blind_us,
             end_us=blind_us + values.us("FS_BLIND_END_S"),

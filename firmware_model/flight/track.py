@@ -218,57 +218,84 @@ def land(state: Node, yaw: YawState, *, floor: float, speed: float, brakes: Brak
     nodes = braked(state, brakes, room, still=0.05)
     t_us, last = nodes[-1]
     p = position_of(last)
-    down: Vector = (0.0, 0.0, speed)
-    fast = min(FAST_SPEED, floor - p[2] - SLOW_HEIGHT - 0.5 * speed)  # a second to it, a second from it
+    fast = _fast(floor - p[2], speed)
     if fast > speed:
         p = _below(p, 0.5 * fast)
-        nodes.append((t_us + CHANGE_US, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
         t_us += CHANGE_US
-        coast_us = seconds_us((floor - p[2] - SLOW_HEIGHT - 0.5 * (fast + speed)) / fast)
-        if coast_us > 0:
-            p = _below(p, fast * coast_us * 1e-6)
-            t_us += coast_us
-            nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
-        p = _below(p, 0.5 * (fast + speed))
+        nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
+        t_us, p = _sink_fast(nodes, p, floor=floor, fast=fast, speed=speed, latest_us=ENDLESS_US)
     else:
         p = _below(p, 0.5 * speed)
-    t_us += CHANGE_US
-    nodes.append((t_us, (*p, *down, *ZERO, *ZERO)))
+        t_us += CHANGE_US
+        nodes.append((t_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
     descent_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
     p = _below(p, speed * descent_us * 1e-6)
-    nodes.append((t_us + descent_us, (*p, *down, *ZERO, *ZERO)))
+    nodes.append((t_us + descent_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
     return track(nodes, _turning(*yaw))
 
 
 def level_descent(
-    p: Vector, velocity: Vector, yaw: float, *, speed: float, damped_us: int, end_us: int
+    p: Vector, velocity: Vector, yaw: float, *, floor: float, speed: float, damped_us: int, end_us: int
 ) -> Track:
     """Return a vertical descent for a vehicle without position feedback.
 
-    The velocity changes from `velocity` to `speed` down within at least a second and is constant until
-    `damped_us`. In the next second thrust decreases by SINK and is constant until `end_us`. This last part
-    needs no velocity feedback.
+    The velocity changes from `velocity` to straight down within at least a second: from a height at up to
+    FAST_SPEED, down to SLOW_HEIGHT, then at `speed` until `damped_us`. In the next second thrust decreases by
+    SINK and is constant until `end_us`. This last part needs no velocity feedback.
     """
-    down: Vector = (0.0, 0.0, speed)
-    brake_us = seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, down) / BRAKING))
     start: Node = (*p, *velocity, *ZERO, *ZERO)
-    p1 = coast(start, down, brake_us * 1e-6)
-    damped_us = max(damped_us, brake_us + 100_000)
-    p2 = _below(p1, speed * (damped_us - brake_us) * 1e-6)
+    fast = _fast(floor - p[2], speed)
+    if damped_us < _brake_us(velocity, fast) + CHANGE_US:
+        fast = speed
+    t_us = _brake_us(velocity, fast)
+    p = coast(start, (0.0, 0.0, fast), t_us * 1e-6)
+    nodes: list[tuple[int, Node]] = [(0, start), (t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO))]
+    if fast > speed:
+        t_us, p = _sink_fast(nodes, p, floor=floor, fast=fast, speed=speed, latest_us=damped_us)
+    damped_us = max(damped_us, t_us + 100_000)
+    p2 = _below(p, speed * (damped_us - t_us) * 1e-6)
     p3 = _below(p2, speed + 0.15 * SINK)  # 3 s^2 - 2 s^3, integrated twice
     fall_us = damped_us + 1_000_000
     end_us = max(end_us, fall_us + 1_000_000)
     fall_s = (end_us - fall_us) * 1e-6
     fall = speed + 0.5 * SINK
     p4 = _below(p3, (fall + 0.5 * SINK * fall_s) * fall_s)
-    nodes: list[tuple[int, Node]] = [
-        (0, start),
-        (brake_us, (*p1, *down, *ZERO, *ZERO)),
-        (damped_us, (*p2, *down, *ZERO, *ZERO)),
+    nodes += [
+        (damped_us, (*p2, 0.0, 0.0, speed, *ZERO, *ZERO)),
         (fall_us, (*p3, 0.0, 0.0, fall, 0.0, 0.0, SINK, *ZERO)),
         (end_us, (*p4, 0.0, 0.0, fall + SINK * fall_s, 0.0, 0.0, SINK, *ZERO)),
     ]
     return track(nodes, [(0, yaw, 0.0)])
+
+
+def _fast(height: float, speed: float) -> float:
+    """Return the greatest speed of a descent from a height: a second to it, a second from it to `speed`."""
+    return max(speed, min(FAST_SPEED, height - SLOW_HEIGHT - 0.5 * speed))
+
+
+def _sink_fast(
+    nodes: list[tuple[int, Node]], p: Vector, *, floor: float, fast: float, speed: float, latest_us: int
+) -> tuple[int, Vector]:
+    """Append nodes from `fast` at p to `speed` at SLOW_HEIGHT above the floor, or earlier at `latest_us`.
+
+    Returns time and position of the last node.
+    """
+    t_us = nodes[-1][0]
+    coast_us = seconds_us((floor - p[2] - SLOW_HEIGHT - 0.5 * (fast + speed)) / fast)
+    coast_us = min(coast_us, latest_us - CHANGE_US - t_us)
+    if coast_us > 0:
+        t_us += coast_us
+        p = _below(p, fast * coast_us * 1e-6)
+        nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
+    t_us += CHANGE_US
+    p = _below(p, 0.5 * (fast + speed))
+    nodes.append((t_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
+    return t_us, p
+
+
+def _brake_us(velocity: Vector, sinking: float) -> int:
+    """Return the time of a change from a velocity to a vertical descent without position."""
+    return seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, (0.0, 0.0, sinking)) / BRAKING))
 
 
 def _turning(yaw: float, rate: float) -> list[tuple[int, float, float]]:

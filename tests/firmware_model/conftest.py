@@ -56,7 +56,7 @@ class Body:
             total, tx, ty, tz = total + t, tx - y * t, ty + x * t, tz + self.kappa * spin * t
         R, w, J = self.R, self.w, self.J
         a = [-R[i][2] * total / self.mass + (GRAVITY if i == 2 else 0.0) for i in range(3)]
-        on_floor = self.p[2] >= self.floor and a[2] >= 0.0
+        on_floor = self.p[2] >= self.floor and (a[2] >= 0.0 or self.v[2] > 0.0)
         if on_floor:
             a = [-x / dt for x in self.v]  # the floor's blow is felt
             self.p[2], self.v, self.w = self.floor, [0.0] * 3, [0.0] * 3

@@ -1,4 +1,4 @@
-"""Flights by attitude and velocity setpoints that a careless client would stream, and how far they get."""
+"""How far flights get that a careless client steers by attitude and velocity, or that lose their poses."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from trimtab.sitl.studies.envelope.watched import Sample, WatchedFlight, beyond,
 
 STREAM_US = 20_000
 """Interval of the setpoints."""
+HOVER_S, MOVE_S = 2.0, 0.8
+"""Times of hover and of motion before the poses are lost."""
 LONGEST_S = 120.0
 """Time from the first setpoint after which a flight is given up."""
 
@@ -62,6 +64,28 @@ def fly_velocity(
     return _streamed(flight, stream_s, lambda: flight.velocity(velocity))
 
 
+def fly_blind(
+    world: str,
+    *,
+    height_m: float,
+    velocity: tuple[float, float, float] = (0.0, 0.0, 0.0),
+    world_seed: int = 0,
+    vehicle: str = "research",
+) -> Outcome:
+    """Hover, follow a velocity (m/s, NED) for MOVE_S, lose the poses, and return the outcome."""
+    flight = WatchedFlight(world, world_seed=world_seed, flight=world_seed + 1, vehicle=vehicle)
+    flight.hover(height_m)
+    flight.run(HOVER_S)
+    if any(velocity):
+        flight.velocity(velocity)
+        flight.mode(6)
+        for _ in range(round(1e6 * MOVE_S / STREAM_US)):
+            flight.velocity(velocity)
+            flight.run(1e-6 * STREAM_US)
+    flight.cameras = False
+    return _landed(flight, len(flight.samples), flight.now_us)
+
+
 def _streamed(flight: WatchedFlight, stream_s: float, send: Callable[[], None]) -> Outcome:
     """Stream setpoints for a time, wait for the floor, and return the outcome."""
     start_us, first = flight.now_us, len(flight.samples)
@@ -72,6 +96,11 @@ def _streamed(flight: WatchedFlight, stream_s: float, send: Callable[[], None]) 
             if flight.now_us == start_us:
                 flight.mode(6)
         flight.step()
+    return _landed(flight, first, end_us)
+
+
+def _landed(flight: WatchedFlight, first: int, end_us: int) -> Outcome:
+    """Wait for the floor, and return the outcome from the sample `first` on."""
     landed = flight.run_to(State.STANDBY, seconds=LONGEST_S)
     down_us = flight.now_us if landed else None
     flight.run(0.5)

@@ -20,8 +20,6 @@ from trimtab.sitl.vehicle import SimulatedVehicle
 
 STEP_US = 10_000
 """Interval of the samples."""
-FLIGHT = 1
-"""Flight index, from which noise and turbulence are drawn."""
 LINK_US = 500_000
 """Interval at which a station shows that it is alive."""
 CONTACT_M = 0.02
@@ -50,10 +48,21 @@ class Sample:
 
 
 class WatchedFlight:
-    """The vehicle `research` on the floor of a world, with a host that is alive and cameras that work.
+    """A vehicle on the floor of a world, with a host that is alive and cameras that work.
+
+    Parameters
+    ----------
+    world, world_seed
+        Name or path of the world, and the seed of what it draws.
+    flight
+        Flight index, from which noise and turbulence are drawn.
+    vehicle
+        Name or path of the vehicle file.
 
     Attributes
     ----------
+    cameras
+        Whether poses arrive.
     vehicle
         Content of the vehicle file.
     now_us
@@ -66,11 +75,14 @@ class WatchedFlight:
         Status texts of the vehicle.
     """
 
-    def __init__(self, world: str) -> None:
-        self.vehicle = load_vehicle("research")
+    def __init__(
+        self, world: str, *, world_seed: int = 0, flight: int = 1, vehicle: str = "research"
+    ) -> None:
+        self.vehicle = load_vehicle(vehicle)
         self._simulated = SimulatedVehicle.create(
-            self.vehicle, world=world, flight=FLIGHT, radio={"wired": True}
+            self.vehicle, world=world, world_seed=world_seed, flight=flight, radio={"wired": True}
         )
+        self.cameras = True
         self.now_us = 0
         self.samples: list[Sample] = []
         self.status: m.FcStatus | None = None
@@ -124,7 +136,8 @@ class WatchedFlight:
         while simulated.now_us < end_us:
             simulated.run_until(end_us)
             for pose in simulated.mocap_read():
-                simulated.serial_write(pose)
+                if self.cameras:
+                    simulated.serial_write(pose)
             self._hear(simulated.serial_read())
         self.now_us = simulated.now_us
         status = self.status

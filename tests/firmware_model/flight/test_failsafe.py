@@ -4,7 +4,7 @@ import math
 
 import pytest
 
-from trimtab.firmware_model.flight.condition_monitor import ConditionMonitor, Observation
+from trimtab.firmware_model.flight.condition_monitor import SURE_TOUCH_US, ConditionMonitor, Observation
 from trimtab.firmware_model.flight.failsafe import BY_EVENT, CONDITIONS, Action, Failsafe, escalate
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.supervisor import FAILURES, FLYING, Event, State, update
@@ -216,13 +216,17 @@ def test_landed_on_the_floor_it_took_off_from_is_at_once(monitor):
     assert not monitor.update_touchdown(1_010_000, height=0.035, speed=0.5, reference_below=True)
 
 
+LOW = {"learn": True, "near": True, "stopped": True}
+"""A descent that has stopped near the floor, while dead reckoning is reliable."""
+
+
 def test_carried_allows_for_the_thrust_seen_aloft(monitor):
     for _ in range(4_000):
         monitor.update_thrust_ratio(force=9.81, thrust=7.0)
     assert monitor.thrust_ratio == pytest.approx(9.81 / 7.0, rel=1e-6)
-    assert not monitor.update_support(1_100_000, force=9.81, thrust=7.0, expected_excess=4.2, learn=True)
-    assert not monitor.update_support(1_350_000, force=9.81, thrust=7.0, expected_excess=4.2, learn=True)
-    assert monitor.update_support(1_550_000, force=9.81, thrust=5.0, expected_excess=4.2, learn=True)
+    assert not monitor.update_support(1_100_000, force=9.81, thrust=7.0, expected_excess=4.2, **LOW)
+    assert not monitor.update_support(1_350_000, force=9.81, thrust=7.0, expected_excess=4.2, **LOW)
+    assert monitor.update_support(1_550_000, force=9.81, thrust=5.0, expected_excess=4.2, **LOW)
 
 
 def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(monitor):
@@ -230,13 +234,11 @@ def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(
     for k in range(300):  # thrust is worth half as much again within 3 s
         now_us += 10_000
         assert not monitor.update_support(
-            now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), expected_excess=4.2, learn=True
+            now_us, force=9.81, thrust=9.81 / (1.0 + 0.15e-2 * k), expected_excess=4.2, **LOW
         )
     thrust = 9.81 / monitor.thrust_ratio
     stepped_us = now_us
-    while not monitor.update_support(
-        now_us, force=9.81, thrust=thrust - 2.5, expected_excess=4.2, learn=True
-    ):
+    while not monitor.update_support(now_us, force=9.81, thrust=thrust - 2.5, expected_excess=4.2, **LOW):
         now_us += 10_000
     assert now_us - stepped_us <= 250_000
 
@@ -245,9 +247,22 @@ def test_carried_takes_what_comes_on_slowly_for_thrust_and_a_step_for_the_floor(
     ("floor", "excess", "noticed"), [(1.5, 0.9, False), (1.5, 1.2, True), (3.0, 1.2, False), (9.0, 2.2, True)]
 )
 def test_carried_asks_for_half_of_what_a_floor_gives_within_bounds(monitor, floor, excess, noticed):
-    signs = {"force": 9.81, "thrust": 9.81 - excess, "expected_excess": floor, "learn": False}
+    signs = {"force": 9.81, "thrust": 9.81 - excess, "expected_excess": floor, **LOW, "learn": False}
     assert not monitor.update_support(1_000_000, **signs)
     assert monitor.update_support(1_210_000, **signs) is noticed
+
+
+def test_carried_high_above_the_floor_is_air(monitor):
+    signs = {"force": 9.81, "thrust": 6.0, "expected_excess": 4.2, **LOW, "learn": False, "near": False}
+    assert not any(monitor.update_support(now_us, **signs) for now_us in range(1_000_000, 9_000_000, 10_000))
+
+
+def test_carried_while_it_seems_to_sink_must_last_longer(monitor):
+    signs = {"force": 9.81, "thrust": 6.0, "expected_excess": 4.2, **LOW, "learn": False, "stopped": False}
+    carried_us = [
+        now_us for now_us in range(1_000_000, 3_000_000, 10_000) if monitor.update_support(now_us, **signs)
+    ]
+    assert carried_us[0] - START_US == SURE_TOUCH_US
 
 
 def test_defaults_give_mocap_less_time_than_the_link():

@@ -132,7 +132,7 @@ def test_stop_towards_the_fence_brakes_harder_and_one_without_room_as_hard_as_it
 
 def test_level_descent_is_smooth_down_to_the_open_loop_part():
     t = level_descent(
-        (0.0, 0.0, -2.0), (4.0, 0.0, -1.0), 0.2, speed=0.8, damped_us=4_000_000, end_us=8_000_000
+        (0.0, 0.0, -2.0), (4.0, 0.0, -1.0), 0.2, floor=0.0, speed=0.8, damped_us=4_000_000, end_us=8_000_000
     )
     assert_pieces_join(t)
     assert t.end_us == 8_000_000
@@ -143,6 +143,35 @@ def test_level_descent_is_smooth_down_to_the_open_loop_part():
     assert v[2] == pytest.approx(0.8 + 1.5 * 1.5, abs=1e-6)
     speeds = [v[2] for _, v, *_ in sampled(t) if v[0] < 1e-9]
     assert all(b >= a - 1e-9 for a, b in pairwise(speeds))
+
+
+@pytest.mark.parametrize("velocity", [(0.0, 0.0, 0.0), (3.0, 0.0, -1.0), (0.0, 0.0, 1.5)])
+@pytest.mark.parametrize("height", [2.5, 6.0, 12.0])
+def test_level_descent_from_a_height_sinks_fast_and_is_slow_near_the_floor(height, velocity):
+    t = level_descent(
+        (0.0, 0.0, 1.0 - height),
+        velocity,
+        0.0,
+        floor=1.0,
+        speed=0.7,
+        damped_us=12_000_000,
+        end_us=15_000_000,
+    )
+    assert_pieces_join(t)
+    states = list(sampled(t))
+    assert max(np.linalg.norm(a) for _, _, a, _ in states) < 5.1
+    assert max(v[2] for p, v, *_ in states if p[2] < 0.0) == pytest.approx(
+        max(velocity[2], min(2.0, height - 1.35)), abs=0.01
+    )
+    slow = [v[2] for p, v, a, _ in states if 0.8 < p[2] < 1.0]
+    np.testing.assert_allclose(slow, 0.7, atol=1e-6)
+
+
+def test_level_descent_that_is_too_short_to_sink_fast_is_slow_throughout():
+    t = level_descent(
+        (0.0, 0.0, -6.0), (0.0,) * 3, 0.0, floor=0.0, speed=0.7, damped_us=1_000_000, end_us=4_000_000
+    )
+    assert max(v[2] for p, v, a, _ in sampled(t) if a[2] < 1e-9) == pytest.approx(0.7, abs=1e-6)
 
 
 def test_track_holds_yaw_outside_its_nodes():
