@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, FlatState, control
+from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, TILT_MAX_DEG, FlatState, control
 from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
@@ -91,6 +91,36 @@ def test_control_asked_to_fall_keeps_the_least_thrust():
     ref = FlatState(ZERO, ZERO, (0.0, 0.0, 2 * GRAVITY), ZERO, 0.0, 0.0)
     collective, *_ = _hover(ref=ref)
     assert collective == pytest.approx(BODY.mass_kg * GRAVITY * GAINS.thrust_floor)
+
+
+def tilt_deg(**changes):
+    """The tilt in pitch that the controller asks a level vehicle for."""
+    _, _, rate_cmd, _ = _hover(**changes)
+    assert abs(rate_cmd[0]) < 1e-9
+    return np.degrees(np.arcsin(min(1.0, abs(rate_cmd[1]) / GAINS.attitude[1])))
+
+
+@pytest.mark.parametrize("climb", [0.0, 2.0, 5.0, 20.0])
+@pytest.mark.parametrize("north", [3.0, 5.0, 20.0])
+def test_control_pulled_back_in_a_climb_stays_upright(north, climb):
+    """Feedback alone would ask for thrust along the floor or downward, which turns the vehicle over."""
+    v = (north, 0.0, -climb)
+    assert tilt_deg(v=v) < TILT_MAX_DEG + 1e-6
+    nearly = euler_to_matrix(FLOAT, (0.0, np.radians(TILT_MAX_DEG), 0.0))
+    _, _, rate_cmd, _ = _hover(v=v, R=nearly)
+    assert rate_cmd[1] < 1e-9  # it does not go on turning
+
+
+def test_control_pulled_down_far_off_asks_for_no_tilt():
+    assert tilt_deg(p=(0.0, 0.0, -20.0)) < 1e-6
+
+
+def test_control_on_a_reference_that_tilts_further_follows_it():
+    a = (-30.0, 0.0, 8.0)  # 87 deg
+    R, _ = flat_attitude(FLOAT, a, 0.0)
+    ref = FlatState(ZERO, ZERO, a, ZERO, 0.0, 0.0)
+    _, _, rate_cmd, _ = _hover(R=R, ref=ref)
+    assert rate_cmd == pytest.approx(ZERO, abs=1e-9)
 
 
 def test_control_counters_the_residual_fed_forward():
