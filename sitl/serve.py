@@ -14,8 +14,10 @@ from dataclasses import dataclass
 from typing import Protocol
 from urllib.parse import urlsplit
 
+from trimtab.host.base.lateness import Lateness
 from trimtab.sitl.ports import Port, ServeError, address_family, host_port, open_port, wall_us
 
+_BUSY = "the computer is too busy for real time; close other programs, or fly in lock-step, without --port"
 _STEP_US = 2000
 _LATE_US = 20_000  # a greater delay counts as an overrun and shifts the clock
 
@@ -34,11 +36,12 @@ class Served(Protocol):
 
 @dataclass
 class ServeStatistics:
-    """Simulated time, number of overruns, and total stretch of simulated time."""
+    """Simulated time, number of overruns, total stretch of simulated time, and its greatest lateness."""
 
     simulated_us: int = 0
     overruns: int = 0
     stretched_us: int = 0
+    late_us: float = 0.0
 
 
 def serve(
@@ -49,6 +52,7 @@ def serve(
     mocap: str | None = None,
     realtime: bool = True,
     ready: Callable[[str], None] | None = None,
+    on_late: Callable[[str], None] | None = None,
 ) -> ServeStatistics:
     """Run the vehicle in real time at a port until `stop` returns True, and return the statistics.
 
@@ -65,6 +69,8 @@ def serve(
         If False, run as fast as the machine allows.
     ready
         Called once with the address to open.
+    on_late
+        Called with a line when simulated time begins to run late, while it does, and when it is over.
 
     Raises ServeError if port or mocap cannot be opened.
     """
@@ -73,17 +79,23 @@ def serve(
         line = stack.enter_context(contextlib.closing(open_port(port)))
         if ready is not None:
             ready(line.address)
-        return _loop(vehicle, line, camera, stop, realtime)
+        return _loop(vehicle, line, camera, stop, realtime, Lateness("simulated time runs", _BUSY, on_late))
 
 
 def _loop(
-    vehicle: Served, line: Port, camera: _Datagrams, stop: Callable[[], bool], realtime: bool
+    vehicle: Served,
+    line: Port,
+    camera: _Datagrams,
+    stop: Callable[[], bool],
+    realtime: bool,
+    lateness: Lateness,
 ) -> ServeStatistics:
     statistics = ServeStatistics()
     first_us = vehicle.now_us
     origin_us = wall_us() - first_us
     while not stop():
         ahead_us = vehicle.now_us - (wall_us() - origin_us) if realtime else 0
+        lateness.add(-ahead_us, vehicle.now_us)
         if ahead_us < -_LATE_US:
             statistics.overruns += 1
             statistics.stretched_us -= ahead_us
@@ -100,6 +112,7 @@ def _loop(
         for datagram in vehicle.mocap_read():
             camera.send(datagram)
         statistics.simulated_us = vehicle.now_us - first_us
+        statistics.late_us = lateness.worst_us
     return statistics
 
 

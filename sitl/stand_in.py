@@ -152,9 +152,10 @@ class StandIn:
         mocap: str | None = None,
         realtime: bool = True,
         ready: Callable[[str], None] | None = None,
+        on_late: Callable[[str], None] | None = None,
     ) -> ServeStatistics:
         """Run in real time at a port until `stop` returns True; see `trimtab.sitl.serve.serve`."""
-        return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready)
+        return serve(self, port=port, stop=stop, mocap=mocap, realtime=realtime, ready=ready, on_late=on_late)
 
     # From the host.
 

@@ -61,6 +61,7 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     workspace: str | Path | Workspace | None = None,
     command: Sequence[str] | None = None,
     on_phase: Callable[[str], None] = lambda _: None,
+    on_late: Callable[[str], None] = lambda _: None,
 ) -> FlightResult:
     """Fly a reference and write its log, as `trimtab fly` does.
 
@@ -130,6 +131,8 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         Words of the command line, recorded in the log. Default: those of the equivalent `trimtab fly`.
     on_phase
         Called with the name of each phase of the flight as it begins.
+    on_late
+        Called with a line when real time cannot be kept: as it begins, while it lasts, and when it is over.
 
     Returns
     -------
@@ -226,9 +229,9 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
     )
     try:
         if port is not None and mocap is not None:
-            result = fly_port(request, port, mocap, on_phase=on_phase)
+            result = fly_port(request, port, mocap, on_phase=on_phase, on_late=on_late)
         else:
-            result = fly_simulated(request, simulation, index, on_phase)
+            result = fly_simulated(request, simulation, index, on_phase, on_late)
     except (FlightEnded, FlightInterrupted) as ended:
         with Interrupts():  # a key that is held down must not suppress the result
             ended.result = _with_clearance(ended.result, path)

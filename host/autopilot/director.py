@@ -31,8 +31,9 @@ from trimtab.host.link.flight_request import FlightEnd, FlightRequest
 from trimtab.host.link.flight_tasks import AwaitPoses, Interrupted
 from trimtab.host.link.session import Session
 from trimtab.host.link.tasks import Command, SettleClock, Task
-from trimtab.host.log import LogError, LogWriter, Provenance
+from trimtab.host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance
 from trimtab.host.log.provenance import flown_by
+from trimtab.host.log.topics import TIMING_TOPICS
 from trimtab.protocol import messages as m
 from trimtab.protocol.messages import Message, mavlink
 
@@ -166,10 +167,12 @@ class StreamDirector(Director):
                 "autopilot": self._kind.name,
             },
         )
-        self._log = LogWriter(request.log_path, provenance)
+        timing = self.session.pose_timing
+        channels = FLIGHT_TOPICS if timing is None else FLIGHT_TOPICS + TIMING_TOPICS
+        self._log = LogWriter(request.log_path, provenance, channels)
         self.log_open = True
         self._recorder = self._stream_log = StreamRecorder(
-            self._log, self.session.client, self.session.camera, request.reference, now_us
+            self._log, self.session.client, self.session.camera, request.reference, now_us, timing=timing
         )
         self._recorder.record_text("armed", now_us)
         self.session.listener = self._recorder

@@ -8,6 +8,7 @@ from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import quat_from_euler
 from trimtab.host.link.client import Client
 from trimtab.host.link.clock import CameraClock
+from trimtab.host.link.pose_timing import PoseTiming
 from trimtab.host.link.recorder import Recorder
 from trimtab.host.log import LogWriter
 from trimtab.host.log.provenance import AUTOPILOT
@@ -27,9 +28,16 @@ class StreamRecorder(Recorder):
     """
 
     def __init__(
-        self, log: LogWriter, client: Client, camera: CameraClock, reference: Reference, arm_us: int
+        self,
+        log: LogWriter,
+        client: Client,
+        camera: CameraClock,
+        reference: Reference,
+        arm_us: int,
+        *,
+        timing: PoseTiming | None,
     ) -> None:
-        super().__init__(log, client, camera, reference, arm_us)
+        super().__init__(log, client, camera, reference, arm_us, timing=timing)
         self._attitude: m.Attitude | None = None
         self._handlers |= {m.LocalPositionNed: self._local_position, m.Attitude: self._turned}
 

@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from types import FrameType, TracebackType
 from typing import Any, Self
 
+from trimtab.host.base.lateness import Lateness
 from trimtab.host.link.ports import Cameras, Port
 from trimtab.host.link.session import Session
 from trimtab.host.link.vehicle import Vehicle
@@ -22,6 +23,8 @@ from trimtab.protocol.telemetry import TICK_US
 
 LATE_US = 20_000
 """If simulated time is behind the wall clock by more than this, it is stretched and an overrun is counted."""
+BUSY = "the computer is too busy for real time; close other programs, or fly in lock-step"
+"""Cause and remedy of simulated time that runs late."""
 READ_WAIT_US = 100_000
 """Longest time between two reads of a port, even if its descriptor reports no data."""
 
@@ -77,6 +80,7 @@ def run_lockstep(
     *,
     realtime: bool = False,
     interrupt: Callable[[], None] | None = None,
+    on_late: Callable[[str], None] | None = None,
 ) -> DriveStatistics:
     """Run a session with a vehicle in this process, and return the statistics of the run.
 
@@ -88,6 +92,8 @@ def run_lockstep(
         Keep pace with the wall clock, as far as the machine can.
     interrupt
         Called between two steps after Ctrl-C, SIGTERM or SIGHUP. Without it, the session ends immediately.
+    on_late
+        Called with a line when simulated time begins to run late, while it does, and when it is over.
 
     Raises any error of the vehicle, for instance that of a foreign plant.
     """
@@ -95,6 +101,7 @@ def run_lockstep(
     first_us = vehicle.now_us
     begin_s = time.perf_counter()
     origin_us = _wall_us() - first_us
+    lateness = Lateness("simulated time runs", BUSY, on_late)
     end = interrupt or (lambda: session.fail(KeyboardInterrupt()))
     step, run_until = session.step, vehicle.run_until
     with Interrupts() as interrupts:
@@ -111,15 +118,16 @@ def run_lockstep(
                 end()
             now_us = run_until(max(session.next_deadline_us, now_us + TICK_US))
             if realtime:
-                origin_us += _keep_pace(now_us, origin_us, statistics)
+                origin_us += _keep_pace(now_us, origin_us, statistics, lateness)
     statistics.session_us = now_us - first_us
     statistics.wall_s = time.perf_counter() - begin_s
     return statistics
 
 
-def _keep_pace(now_us: int, origin_us: int, statistics: DriveStatistics) -> int:
+def _keep_pace(now_us: int, origin_us: int, statistics: DriveStatistics, lateness: Lateness) -> int:
     """Wait for the wall clock. Return the microseconds by which simulated time must be stretched."""
     ahead_us = now_us - (_wall_us() - origin_us)
+    lateness.add(-ahead_us, now_us)
     if ahead_us > 0:
         time.sleep(ahead_us * 1e-6)
         return 0

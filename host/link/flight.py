@@ -35,7 +35,7 @@ from trimtab.host.link.upload_tasks import make_live
 from trimtab.host.link.vehicle_match import check_same_vehicle, neutral_feedforward
 from trimtab.host.log import FLIGHT_TOPICS, LogError, LogWriter, Provenance, failsafe_name
 from trimtab.host.log.provenance import flown_by
-from trimtab.host.log.topics import CONTROLLED_TOPICS, ROTOR_TOPICS
+from trimtab.host.log.topics import CONTROLLED_TOPICS, ROTOR_TOPICS, TIMING_TOPICS
 from trimtab.host.vehicle import to_parameters
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import FeedForward, Kind, Reference
@@ -243,10 +243,18 @@ class FlightDirector(Director):
         channels = FLIGHT_TOPICS if request.control is None else CONTROLLED_TOPICS
         if request.vehicle.measures_rotor_speed:
             channels += ROTOR_TOPICS
+        if self.session.pose_timing is not None:
+            channels += TIMING_TOPICS
         self._log = LogWriter(request.log_path, provenance, channels)
         self.log_open = True
         self._recorder = Recorder(
-            self._log, client, self.session.camera, request.reference, now_us, then=request.then
+            self._log,
+            client,
+            self.session.camera,
+            request.reference,
+            now_us,
+            then=request.then,
+            timing=self.session.pose_timing,
         )
         self._recorder.record_text("armed", now_us)
         self.session.listener = self._recorder

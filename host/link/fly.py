@@ -15,6 +15,7 @@ from trimtab.host.link.flight import FlightDirector
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.host_control import STOP_WORDS
 from trimtab.host.link.ports import Cameras, open_port
+from trimtab.host.link.pose_timing import PoseTiming
 from trimtab.host.link.summary import FlightResult, summarise
 from trimtab.host.link.vehicle import Vehicle
 from trimtab.host.log import FAILSAFE_WORDS
@@ -48,8 +49,11 @@ def fly_lockstep(
     *,
     realtime: bool = False,
     on_phase: Callable[[str], None] | None = None,
+    on_late: Callable[[str], None] | None = None,
 ) -> FlightResult:
     """Fly `request` with a vehicle in this process, and return the result. The vehicle stays open.
+
+    on_late: called with a line about simulated time that runs late in real time.
 
     Raises FlightEnded, TrimtabError or any error of the vehicle. An interrupt raises FlightInterrupted once
     the log is closed, or KeyboardInterrupt if no log was begun.
@@ -63,6 +67,7 @@ def fly_lockstep(
                 vehicle,
                 realtime=realtime,
                 interrupt=director.interrupt if realtime else None,
+                on_late=on_late,
             )
         except Exception as error:
             director.abandon(error)
@@ -78,13 +83,17 @@ def fly_port(
     mocap: str,
     *,
     on_phase: Callable[[str], None] | None = None,
+    on_late: Callable[[str], None] | None = None,
 ) -> FlightResult:
     """Fly `request` at a serial port in real time, and return the result. Poses arrive at the `mocap` URL.
+
+    on_late: called with a line when poses begin to arrive late, while they do, and when it is over.
 
     Raises the same errors as `fly_lockstep`. At Ctrl-C, SIGTERM or SIGHUP the vehicle lands first. A second
     Ctrl-C leaves the vehicle to its failsafe.
     """
     director = _director(request, on_phase)
+    director.session.pose_timing = PoseTiming(on_late)
     with (
         contextlib.closing(Cameras(mocap)) as cameras,
         contextlib.closing(open_port(port)) as line,

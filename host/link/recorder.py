@@ -14,6 +14,7 @@ from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.control_stream import StepRecord
 from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.link_counts import LinkCounts
+from trimtab.host.link.pose_timing import PoseTiming
 from trimtab.host.log import LogWriter, topics
 from trimtab.host.log.display import PERIOD_US
 from trimtab.host.log.provenance import HOST_CONTROL
@@ -21,7 +22,7 @@ from trimtab.host.log.tracking import reference_at
 from trimtab.host.log.writer import Stamps
 from trimtab.protocol import messages as m
 from trimtab.protocol.blobs import Reference
-from trimtab.protocol.generated import flight_pb2, host_control_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2, timing_pb2
 from trimtab.protocol.messages import Message, mavlink
 from trimtab.protocol.telemetry import (
     OVERTAKEN_TICKS,
@@ -41,7 +42,8 @@ _OFFBOARD = mavlink.TRIMTAB_STATE_OFFBOARD
 class Recorder:
     """Log of one flight. `arm_us` is the host time at which the vehicle acknowledged arming.
 
-    `then` is the reference that may take over in flight; None if there is none.
+    `then` is the reference that may take over in flight; None if there is none. `timing` measures how late
+    poses arrive in real time; None for a simulated vehicle in this process.
     `last_status` is the newest FC_STATUS logged; None before the first. `deadline_us` is the time at which
     `link` is due.
     """
@@ -55,6 +57,7 @@ class Recorder:
         arm_us: int,
         *,
         then: Reference | None = None,
+        timing: PoseTiming | None = None,
     ) -> None:
         self.last_status: m.FcStatus | None = None
         self._log = log
@@ -70,6 +73,7 @@ class Recorder:
         self._then = None if then is None else _FlownReference(then)
         self._control_start_us: int | None = None
         self._counts = LinkCounts(client)
+        self._timing = timing
         log.display.reference_path(0, self._first.path())
         self._handlers: dict[type, Callable[[Any, int], None]] = {
             m.FcControl: self._control,
@@ -125,6 +129,16 @@ class Recorder:
         )
         log_us = now_us - self._arm_us
         self._log.write(topics.LINK, message, log_us, log_us)
+        if self._timing is not None:
+            poses, late, worst_us = self._timing.take()
+            timing = timing_pb2.Timing(
+                poses=poses,
+                late_poses=late,
+                pose_late_us=worst_us,
+                runs_late=self._timing.lateness.running,
+                clock_steps=clock.steps,
+            )
+            self._log.write(topics.HOST_TIMING, timing, log_us, log_us)
 
     def record_text(self, text: str, now_us: int) -> None:
         """Log a text message of the host."""

@@ -11,6 +11,7 @@ from typing import Any, Protocol
 from trimtab.host.link.client import NEVER_US, Client
 from trimtab.host.link.clock import CameraClock
 from trimtab.host.link.keys import StationKey
+from trimtab.host.link.pose_timing import PoseTiming
 from trimtab.host.link.tasks import Task
 from trimtab.protocol import messages as m
 from trimtab.protocol.codec import decode_message
@@ -67,6 +68,8 @@ class Session:
         Number of valid poses received.
     forwarded
         Number of poses sent to the vehicle.
+    pose_timing
+        Measures how late poses arrive; None for a simulated vehicle in this process.
     listener
         Observer of messages and poses, or None. If it raises, it is removed and the script gets the error.
     """
@@ -87,6 +90,7 @@ class Session:
         self.error: BaseException | None = None
         self.now_us = 0
         self.utc_offset_us: int | None = None
+        self.pose_timing: PoseTiming | None = None
         self.poses = 0
         self.forwarded = 0
         self._make_script = script
@@ -204,15 +208,19 @@ class Session:
 
     def _on_datagram(self, datagram: bytes, now_us: int) -> None:
         """Forward the poses in a datagram; drop those whose stamp the camera clock rejects."""
-        clock, camera = self.client.clock, self.camera
+        clock, camera, timing = self.client.clock, self.camera, self.pose_timing
         for message in map(decode_message, self._datagrams.feed(datagram, last=True)):
             if type(message) is not m.AttPosMocap:
                 continue
             if clock.steps != self._steps:
                 self._steps = clock.steps
                 camera.clear()
+                if timing is not None:
+                    timing.clear()
             if not camera.pose(message.time_usec, now_us):
                 continue
+            if timing is not None:
+                timing.pose(message.time_usec, now_us)
             self.poses += 1
             host_us = message.time_usec - camera.offset_us
             vehicle_us = max(0, round(host_us + clock.offset_us)) if clock.exchanges else None

@@ -38,7 +38,11 @@ class Simulation:
 
 
 def fly_simulated(
-    request: FlightRequest, simulation: Simulation, flight: int, on_phase: Callable[[str], None]
+    request: FlightRequest,
+    simulation: Simulation,
+    flight: int,
+    on_phase: Callable[[str], None],
+    on_late: Callable[[str], None],
 ) -> FlightResult:
     """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log.
 
@@ -62,7 +66,9 @@ def fly_simulated(
     flown = simulated if request.autopilot is None else simulated.as_autopilot(request.autopilot.name)
     with closing(simulated):
         try:
-            return fly_lockstep(request, flown, realtime=simulation.realtime, on_phase=on_phase)
+            return fly_lockstep(
+                request, flown, realtime=simulation.realtime, on_phase=on_phase, on_late=on_late
+            )
         finally:
             if _file_number(request.log_path) not in (None, before):
                 _write_truth(request.log_path, simulated.truth())

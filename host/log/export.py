@@ -10,11 +10,11 @@ from typing import Any
 
 from trimtab.host.log.flight import scan_closed
 from trimtab.host.log.scan import Entry
-from trimtab.host.log.topics import CONTROLLED_TOPICS, DISPLAY_PREFIX, IMPORTED_TOPICS
+from trimtab.host.log.topics import CONTROLLED_TOPICS, DISPLAY_PREFIX, IMPORTED_TOPICS, TIMING_TOPICS
 
 _KINDS = {
     topic.name: topic.message
-    for topic in (*CONTROLLED_TOPICS, *IMPORTED_TOPICS)
+    for topic in (*CONTROLLED_TOPICS, *TIMING_TOPICS, *IMPORTED_TOPICS)
     if not topic.name.startswith(DISPLAY_PREFIX)
 }
 

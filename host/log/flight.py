@@ -43,6 +43,7 @@ from trimtab.host.log.read_topics import (
     read_observer,
     read_rotors,
     read_status,
+    read_timing,
 )
 from trimtab.host.log.rebuilt import rebuilt_of
 from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
@@ -132,6 +133,8 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
     arm_us = int(metadata.get("arm_host_us", "0"))
     vehicle_shift_us = arm_us + (round(float(link.clock_offset_us[-1])) if link is not None else 0)
     camera_shift_us = arm_us + (round(float(link.camera_offset_us[-1])) if link is not None else 0)
+    timing = read_timing(entries)
+    stepped = timing is not None and bool(timing.clock_steps[-1] > timing.clock_steps[0])
     statuses = decoded(entries, topics.FC_STATUS, flight_pb2.Status)
     status = read_status(statuses, vehicle_shift_us)
     reference, reference_id, began_us = _flown_reference(attached, metadata, statuses)
@@ -159,7 +162,7 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         feedforward=None if feedforward is None else FeedForward.from_bytes(feedforward),
         firmware_parameters=None if parameters is None else {k: float(v) for k, v in parameters.items()},
         metadata=metadata,
-        mocap=read_mocap(entries, camera_shift_us),
+        mocap=read_mocap(entries, camera_shift_us, vehicle_shift_us, stepped=stepped),
         estimate=read_estimate(entries, vehicle_shift_us),
         control=read_control(entries, vehicle_shift_us),
         observer=read_observer(entries, vehicle_shift_us),
@@ -177,6 +180,7 @@ def _to_flight(records: Scan, leave_out: Collection[str]) -> Flight:
         contents=LogContents.of(records),
         host_control=host_control,
         rotors=read_rotors(entries, vehicle_shift_us),
+        timing=timing,
     )
 
 

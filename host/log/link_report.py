@@ -17,7 +17,13 @@ def link_report(flight: Flight) -> dict[str, Any]:
     Counts and rates cover the time from arming to the end of the log. The age of poses covers the tracking
     phase. Telemetry gaps cover the whole log.
     """
-    report = {**_radios(flight), **_host(flight.link), **_poses(flight), **_telemetry(flight)}
+    report = {
+        **_radios(flight),
+        **_host(flight.link),
+        **_poses(flight),
+        **_telemetry(flight),
+        **_timing(flight),
+    }
     if AUTOPILOT in flight.metadata:  # it also sends messages that the host does not read, nor count
         report |= dict.fromkeys(("frames_lost", "messages_lost"))
     return report
@@ -43,6 +49,13 @@ def to_lines(report: dict[str, Any]) -> list[str]:
             f"{report['mocap_age_ms_p99']:.0f} at 99 %, {_shown(report['mocap_age_ms_max'], '.0f')} at most, "
             f"{_shown(report['poses_lost'], 'd')} lost"
         )
+    if report["late_s"]:
+        worst_ms = report["pose_late_ms_max"]
+        lines.append(
+            f"time ran late for {report['late_s']:.1f} s: poses arrived up to {worst_ms:.0f} ms late"
+        )
+    if report["clock_steps"]:
+        lines.append(f"the vehicle's clock jumped against the host's: {report['clock_steps']} times")
     trouble = [
         f"{report[key]} {words}"
         for key, words in (
@@ -141,6 +154,19 @@ def _poses(flight: Flight) -> dict[str, Any]:
         sent = np.count_nonzero((mocap.t_us > status.t_us[0]) & (mocap.t_us <= status.t_us[-1]))
         report["poses_lost"] = max(0, int(sent) - _increase(status.poses_used))
     return report
+
+
+def _timing(flight: Flight) -> dict[str, Any]:
+    """Return how late poses arrived in real time. The values are None for a flight in lock-step."""
+    timing = flight.timing
+    if timing is None:
+        return dict.fromkeys(("late_s", "poses_late", "pose_late_ms_max", "clock_steps"))
+    return {
+        "late_s": float(np.diff(timing.t_us, prepend=0)[timing.runs_late].sum()) * 1e-6,
+        "poses_late": int(timing.late_poses.sum()),
+        "pose_late_ms_max": float(timing.pose_late_us.max()) * 1e-3,
+        "clock_steps": _increase(timing.clock_steps),
+    }
 
 
 def _telemetry(flight: Flight) -> dict[str, Any]:

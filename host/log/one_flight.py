@@ -21,6 +21,7 @@ from trimtab.host.log.tracks import (
     RecordedInputs,
     Rotors,
     Status,
+    Timing,
 )
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import FeedForward, Reference
@@ -69,6 +70,8 @@ class Flight:
         Steps of a controller on the host; None if the vehicle flew by its own law, or in an import.
     rotors
         Measured rotor speeds; None if the vehicle reports none.
+    timing
+        How the host kept to the wall clock; None for a flight in lock-step, or in an import.
     """
 
     id: str
@@ -98,6 +101,7 @@ class Flight:
     unused: tuple[tuple[int, int], ...] = ()
     rebuilt: Rebuilt | None = None
     rotors: Rotors | None = None
+    timing: Timing | None = None
 
     @property
     def tracking_parts(self) -> tuple[tuple[int, int], ...]:

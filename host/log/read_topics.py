@@ -25,8 +25,9 @@ from trimtab.host.log.tracks import (
     Rotors,
     Status,
     Times,
+    Timing,
 )
-from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2, timing_pb2
 
 CAMERAS_SET_US = 25_000
 """Jump of the cameras' clock against the host's above which the clock was set."""
@@ -78,25 +79,41 @@ def _counts(messages: Sequence[Any], name: str) -> Times:
     return _times(list(map(attrgetter(name), messages)))
 
 
-def read_mocap(entries: Mapping[str, Sequence[Entry]], shift_us: int) -> Mocap | None:
-    """Return the poses, on the host's clock; None if the log has none."""
+def read_mocap(
+    entries: Mapping[str, Sequence[Entry]], shift_us: int, vehicle_shift_us: int, *, stepped: bool
+) -> Mocap | None:
+    """Return the poses, on the host's clock; None if the log has none.
+
+    shift_us, vehicle_shift_us: by how much the stamps of cameras and vehicle are ahead. stepped: whether the
+    vehicle's clock jumped against the host's.
+    """
     pairs = decoded(entries, topics.MOCAP_POSE, flight_pb2.MocapPose)
     if not pairs:
         return None
     messages = [message for _, message in pairs]
-    source_us = _counts(messages, "source_us")
-    shifts_us = source_us - _times([entry.publish_time_us for entry, _ in pairs])
-    start = 0
-    for end in np.flatnonzero(np.abs(np.diff(shifts_us)) > CAMERAS_SET_US) + 1:
-        shifts_us[start:end] = shifts_us[end - 1]  # the last offset is the most accurate
-        start = end
-    shifts_us[start:] = shift_us
+    source_us, vehicle_us = _counts(messages, "source_us"), _counts(messages, "vehicle_us")
+    sent = vehicle_us > 0
+    if stepped and sent.any():
+        # The host's clock is no bridge then. The stamps with which the poses were forwarded join the clocks
+        # of cameras and vehicle directly: where simulated time stood still, both did.
+        ahead_us = round(np.median((vehicle_us - source_us)[sent]))
+        shifts_us = np.full(len(source_us), vehicle_shift_us - ahead_us)
+    else:
+        shifts_us = source_us - _times([entry.publish_time_us for entry, _ in pairs])
+        start = 0
+        for end in np.flatnonzero(np.abs(np.diff(shifts_us)) > CAMERAS_SET_US) + 1:
+            shifts_us[start:end] = shifts_us[end - 1]  # the last offset is the most accurate
+            start = end
+        shifts_us[start:] = shift_us
+    t_us = source_us - shifts_us
+    forwarded = {"forwarded_us": np.where(sent, vehicle_us - vehicle_shift_us, t_us)} if sent.any() else {}
     return _finite(
         Mocap,
-        t_us=source_us - shifts_us,
+        t_us=t_us,
         t_arrival_us=_times([entry.log_time_us for entry, _ in pairs]),
         p=_columns(messages, lambda m: m.p_ned_m, 3),
         q=_quaternions(messages),
+        **forwarded,
     )
 
 
@@ -215,6 +232,21 @@ def read_link(entries: Mapping[str, Sequence[Entry]]) -> LinkHealth | None:
     if health is None or not reported:
         return health
     return replace(health, radios={name: getattr(reported[-1], name) for name in names})
+
+
+def read_timing(entries: Mapping[str, Sequence[Entry]]) -> Timing | None:
+    """Return how the host kept to the wall clock; None if the log has nothing of it."""
+    pairs = decoded(entries, topics.HOST_TIMING, timing_pb2.Timing)
+    if not pairs:
+        return None
+    messages = [message for _, message in pairs]
+    names = ("poses", "late_poses", "pose_late_us", "clock_steps")
+    return _finite(
+        Timing,
+        t_us=_times([entry.log_time_us for entry, _ in pairs]),
+        runs_late=np.array([message.runs_late for message in messages]),
+        **{name: _counts(messages, name) for name in names},
+    )
 
 
 def read_host_control(

@@ -11,7 +11,7 @@ from foxglove_schemas_protobuf.PosesInFrame_pb2 import PosesInFrame
 from foxglove_schemas_protobuf.SceneUpdate_pb2 import SceneUpdate
 from google.protobuf.message import Message
 
-from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2
+from trimtab.protocol.generated import flight_pb2, host_control_pb2, rotors_pb2, timing_pb2
 
 MOCAP_POSE = "/mocap/pose"
 FC_ESTIMATE = "/fc/estimate"
@@ -20,6 +20,7 @@ FC_ROTORS = "/fc/rotors"
 FC_STATUS = "/fc/status"
 REFERENCE = "/reference"
 HOST_CONTROL = "/host/control"
+HOST_TIMING = "/host/timing"
 LINK = "/link"
 LOG = "/log"
 DISPLAY_PREFIX = "/display/"
@@ -178,6 +179,17 @@ ROTOR_TOPICS: tuple[Topic, ...] = (
     ),
 )
 """Topics that the log of a vehicle holds in addition if it measures rotor speeds."""
+
+TIMING_TOPICS: tuple[Topic, ...] = (
+    Topic(
+        name=HOST_TIMING,
+        message=timing_pb2.Timing,
+        sampling="sampled",
+        rate="10 Hz",
+        content="how late poses arrived at the host, which kept to the wall clock",
+    ),
+)
+"""Topics that the log of a flight at a port holds in addition."""
 
 IMPORTED_TOPICS: tuple[Topic, ...] = (
     FLIGHT_TOPICS[0],

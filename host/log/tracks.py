@@ -19,6 +19,7 @@ from trimtab.protocol.telemetry import TICK_US
 Floats = NDArray[np.float64]
 Times = NDArray[np.int64]
 LEVELS = ("motor", "thrust-torque", "reference")
+_NEIGHBOURS = 100
 FAILSAFE_WORDS = {
     "mocap-lost": "mocap lost",
     "link-lost": "link lost",
@@ -86,12 +87,23 @@ class Mocap(_Track):
         Position in NED, m.
     q
         Attitude of FRD in NED as a quaternion, w first.
+    forwarded_us
+        Times of measurement as the vehicle was told them, us: a clock that was compared badly makes them
+        differ from `t_us`. None if no pose was forwarded.
     """
 
     t_us: Annotated[Times, "poses"]
     t_arrival_us: Annotated[Times, "poses"]
     p: Annotated[Floats, "poses 3"]
     q: Annotated[Floats, "poses 4"]
+    forwarded_us: Annotated[Times, "poses"] | None = None
+
+    @property
+    def late_us(self) -> Annotated[Times, "poses"]:
+        """How much later each pose arrived than the promptest of a hundred before and after it, us."""
+        delay_us = self.t_arrival_us - self.t_us
+        around = np.pad(delay_us, _NEIGHBOURS, mode="edge")
+        return delay_us - np.lib.stride_tricks.sliding_window_view(around, 2 * _NEIGHBOURS + 1).min(axis=1)
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)
@@ -280,6 +292,32 @@ class LinkHealth(_Track):
     clock_offset_sd_us: Annotated[Floats, "samples"]
     camera_offset_us: Annotated[Floats, "samples"]
     radios: Mapping[str, int] | None = None
+
+
+@dataclass(frozen=True, kw_only=True, eq=False)
+class Timing(_Track):
+    """How the host of a flight at a port kept to the wall clock.
+
+    Attributes
+    ----------
+    t_us
+        Times, us.
+    poses, late_poses
+        Poses that arrived since the last message, and how many of them were late.
+    pose_late_us
+        Greatest lateness since the last message, us.
+    runs_late
+        Whether time ran late: poses were late often.
+    clock_steps
+        How often the vehicle's clock has jumped against the host's, since connection.
+    """
+
+    t_us: Annotated[Times, "samples"]
+    poses: Annotated[Times, "samples"]
+    late_poses: Annotated[Times, "samples"]
+    pose_late_us: Annotated[Times, "samples"]
+    runs_late: Annotated[NDArray[np.bool_], "samples"]
+    clock_steps: Annotated[Times, "samples"]
 
 
 @dataclass(frozen=True, kw_only=True, eq=False)

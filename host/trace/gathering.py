@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -24,6 +24,7 @@ def gather_inputs(
     repeat_flights: Sequence[tuple[int, int]],
     unknown: frozenset[str],
     tracking: Tracking,
+    late_share: Mapping[str, float],
 ) -> DecisionInputs:
     """Return the numbers that the verdict depends on.
 
@@ -39,6 +40,8 @@ def gather_inputs(
         What the logs do not determine, as words such as "torque".
     tracking
         How much the flights track.
+    late_share
+        For each log, the share of its tracking phase in which time ran late.
     """
     selected, null_fit = diagnosis.selected, diagnosis.null_fit
     axial = "thrust" not in unknown
@@ -72,6 +75,7 @@ def gather_inputs(
             else segment_disagreement_nats(segment_model, null_fit, selected.effects)
         ),
         **tracking._asdict(),
+        late_share=late_share,
         compared=segment_model.space.rolled is not segment_model.space,
     )
 

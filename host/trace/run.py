@@ -21,8 +21,10 @@ from trimtab.host.trace.baseline import baseline_of, check_baseline
 from trimtab.host.trace.data.audit import with_missing_repeats
 from trimtab.host.trace.data.cutting import segments_of
 from trimtab.host.trace.data.logs import TraceData, observable_effects, read_logs
+from trimtab.host.trace.data.real_time import late_share
 from trimtab.host.trace.data.sets import check_sets
 from trimtab.host.trace.decision.decide import decide, tracking_shortfall
+from trimtab.host.trace.decision.findings import Verdict
 from trimtab.host.trace.flight_fit.loop import amount_of_tracking
 from trimtab.host.trace.gathering import gather_inputs
 from trimtab.host.trace.hover.compare import compare, compares_hovers
@@ -111,7 +113,10 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     shortfall = tracking_shortfall(*tracking)
     whole_flights = logs.flights if logs.drive == "reference" and shortfall is None else ()
     diagnosis = select_effects(segment_model, data, whole_flights, logs.repeat_flights, on_progress)
-    decision = decide(gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking))
+    late = {each.path.name: late_share(each) for each in (*baseline, *flights)}
+    decision = decide(
+        gather_inputs(segment_model, diagnosis, logs.repeat_flights, logs.unknown, tracking, late)
+    )
     within_library, null_fit = decision.within_library, diagnosis.null_fit
     named = (
         named_effects(parameters, diagnosis, decision.aliases, decision.probabilities)
@@ -133,7 +138,7 @@ def run(  # noqa: PLR0913 (one keyword for each choice)
     if decision.to_separate is not None and manoeuvres is not None:
         on_progress("searching for the next flight")
         next_flight = propose(segment_model, diagnosis.selected, *decision.to_separate, manoeuvres())
-    if not within_library:
+    if decision.verdict is Verdict.OUTSIDE_LIBRARY:
         on_progress("describing the unexplained disturbance")
         disturbance = disturbance_left(null_fit, theta_without_effects(parameters, null_fit))
         description = describe(disturbance, null_fit.data, [f.reference_id for f in every], logs.vehicle)

@@ -20,6 +20,7 @@ MIXED_INPUTS = (
 
 _STRETCHES = {
     Code.CLOCK_JUMP: "a clock jump",
+    Code.LATE_POSES: "poses that came late or with a wrong stamp, since time ran late",
     Code.MOTOR_AT_LIMIT: "a motor at its limit",
     Code.PITCH_SINGULAR: "pitch near 90 deg, where Euler angles are singular",
     Code.IMPACT: "an impact",
@@ -120,6 +121,10 @@ _SENTENCES: Mapping[Code, Callable[[Finding], str]] = {
     Code.ONLY_HOVER: lambda _: (
         "without a body rate in the logs, only what the rotors balance in the mean of a flight was compared; "
         "weigh the vehicle, change the propeller of the rotor in question, or log the gyro, and fly again"
+    ),
+    Code.TIME_RAN_LATE: lambda f: (
+        f"{f.log}: time ran late in {100 * (f.value or 0.0):.0f} % of the tracking phase, which looks like "
+        "physics; fly again in lock-step, or in real time on a computer with less to do"
     ),
     Code.ALIAS: lambda f: f"{f.subject[0]} may be {f.subject[1]} ({f.value:.2f})",
     Code.EXACT_ALIAS: lambda f: f"no flight can distinguish {f.subject[0]} from {f.subject[1]}",

@@ -172,6 +172,7 @@ def command(reference: Path, *, options: FlyOptions = DEFAULTS) -> None:
                 workspace=open_workspace(options.workspace, trusted=options.trust),
                 command=sys.argv[1:],
                 on_phase=on_phase,
+                on_late=warn,
             )
     except (FlightEnded, FlightInterrupted) as ended:
         with Interrupts():  # a key that is held down must not suppress the answer

@@ -83,7 +83,7 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
     from contextlib import closing
 
     from trimtab.host.base import artefacts
-    from trimtab.host.base.output import emit, say
+    from trimtab.host.base.output import emit, say, warn
     from trimtab.host.link.vehicle import vehicle_class
 
     vehicle = _check(options)
@@ -109,13 +109,14 @@ def command(*, port: str, options: SitlOptions = DEFAULTS) -> None:
 
         with closing(simulated):
             served = simulated if options.autopilot is None else simulated.as_autopilot(options.autopilot)
-            statistics = served.serve(port=port, stop=stop, mocap=options.mocap, ready=on_ready)
+            statistics = served.serve(port=port, stop=stop, mocap=options.mocap, ready=on_ready, on_late=warn)
     simulated_s = statistics.simulated_us * 1e-6
     say(f"{simulated_s:.1f} s simulated, {statistics.overruns} times behind real time")
     answer = {
         "simulated_s": simulated_s,
         "overruns": statistics.overruns,
         "stretched_s": statistics.stretched_us * 1e-6,
+        "late_ms_max": statistics.late_us * 1e-3,
     }
     emit(answer, options.json)
 

@@ -100,7 +100,8 @@ def test_pty_stand_in_flies_by_setpoints_and_says_that_it_is_simulated(
         assert "does not speak Trimtab's dialect" in complaint
         code, told, complaint = run_trimtab("fly", "eight.ref", *line, "--yes")
         assert code == 0, complaint
-        assert [each.removeprefix("trimtab: ") for each in complaint.splitlines()] == [
+        lines = [each.removeprefix("trimtab: ") for each in complaint.splitlines()]
+        assert [each for each in lines if not each.startswith("poses arrive")] == [
             "checking", "arming", "to the start", "tracking", "hold", "landing", "landed"
         ]  # fmt: skip
         end()

@@ -110,7 +110,7 @@ def test_verb_writes_beside_the_input_and_overwrites_nothing(
     ("words", "code"),
     [
         ((), 2),
-        (("none.mcap",), 5),
+        (("none.mcap",), 2),
         (("none.ref",), 2),
         (("none.model.toml",), 2),
         (("none.txt",), 2),

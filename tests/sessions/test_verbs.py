@@ -383,7 +383,7 @@ def test_first_flight_page_shows_what_fly_prints_and_files_that_are_not_there_ye
     ):
         flight = re.search(r"--flight (\d+)", words)
         logs.append(f"{reference}-{flight[1] if flight else 0}.mcap")
-    assert len(logs) == len(set(logs)) == 4
+    assert len(logs) == len(set(logs)) == 5
 
 
 def test_fly_tells_how_far_it_was_from_the_obstacles_of_its_route(trimtab: Any, tmp_path: Path) -> None:

@@ -393,7 +393,12 @@ def test_late_machine_stretches_time_and_is_counted(monkeypatch: pytest.MonkeyPa
 
     vehicle = Steps()
     monkeypatch.setattr(server, "wall_us", wall_us)
-    statistics = server.serve(vehicle, port="pty", stop=lambda: len(vehicle.targets) >= 100)
+    lines: list[str] = []
+    statistics = server.serve(
+        vehicle, port="pty", stop=lambda: len(vehicle.targets) >= 100, on_late=lines.append
+    )
+    assert lines[0].startswith("simulated time runs up to 98 ms late: ")
+    assert statistics.late_us > 90_000
     assert vehicle.targets == [2000 * k for k in range(1, 101)]
     assert statistics.overruns > 5
     assert statistics.stretched_us > 500_000

@@ -10,6 +10,7 @@ import numpy as np
 
 from trimtab.host.log import Flight, topics
 from trimtab.host.trace.data.contact import ground_contact
+from trimtab.host.trace.data.real_time import is_too_late, late_spans
 from trimtab.host.trace.data.signals import FlightData, Signals, without_inputs
 from trimtab.host.trace.data.stretches import (
     STRETCH_ORDER,
@@ -75,7 +76,13 @@ def audit(data: FlightData) -> Audit:
     flight, s = data.flight, data.signals
     rates = _rates(flight, s.span_s)
     landed = [clipped_stretch(s, a * 1e-6, b * 1e-6, Code.GROUND_CONTACT) for a, b in flight.unused]
-    measured = [*_gaps(s), *_jumps(flight, s), *_attitudes(s), *_saturation(s), *ground_contact(data)]
+    measured = [
+        *_gaps(s),
+        *([] if is_too_late(flight) else [*_jumps(flight, s), *_late(flight, s)]),
+        *_attitudes(s),
+        *_saturation(s),
+        *ground_contact(data),
+    ]
     stretches = [*landed, *(each for each in measured if not _is_inside(each, landed))]
     inside = within(s.pose_s, s.span_s)
     return Audit(
@@ -181,6 +188,13 @@ def _jumps(flight: Flight, s: Signals) -> list[UnusedStretch]:
         overlaps = np.flatnonzero(begin[1:] - end[:-1] < -1e-3)
         jumps += [(end[k] - 0.1, end[k] + 0.1) for k in overlaps if s.span_s[0] <= end[k] <= s.span_s[1]]
     return [clipped_stretch(s, a, b, Code.CLOCK_JUMP) for a, b in merged_spans(jumps)]
+
+
+def _late(flight: Flight, s: Signals) -> list[UnusedStretch]:
+    """Return the stretches in which time ran late."""
+    a, b = s.span_s
+    inside = [span for span in late_spans(flight) if span[0] < b and span[1] > a]
+    return [clipped_stretch(s, *span, Code.LATE_POSES) for span in inside]
 
 
 def _attitudes(s: Signals) -> list[UnusedStretch]:

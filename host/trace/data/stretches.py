@@ -13,6 +13,7 @@ from trimtab.host.trace.decision.findings import Code
 
 STRETCH_ORDER = (
     Code.CLOCK_JUMP,
+    Code.LATE_POSES,
     Code.MOTOR_AT_LIMIT,
     Code.PITCH_SINGULAR,
     Code.IMPACT,

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from scipy.special import expit
 
@@ -65,6 +65,8 @@ class DecisionInputs:
         Tracking time of all flights, and the greatest extent of one of them along an axis.
     pose_interval_s
         Longest median interval between the poses of a flight.
+    late_share
+        For each log, the share of its tracking phase in which time ran late.
     compared
         Whether two sets of flights were compared. For the verdict `nothing-missing` it must then be more
         probable that nothing changed than that something did.
@@ -88,6 +90,7 @@ class DecisionInputs:
     tracking_s: float
     extent_m: float
     pose_interval_s: float
+    late_share: Mapping[str, float] = field(default_factory=dict)
     compared: bool = False
 
     @property
@@ -109,6 +112,9 @@ class Decision:
     ----------
     verdict, findings
         The verdict, and the comparisons that led to it.
+    within_library
+        Whether the selected effects go into the model: not if the cause is outside the library, nor if time
+        ran late.
     aliases
         For each selected effect: the effects that could replace it, with their probabilities.
     possible
@@ -117,13 +123,14 @@ class Decision:
         Probability of each selected effect. If segments judged it too, the smaller of the two counts: each
         fit has its own noise model, and no flight was repeated to show which one is wrong.
     to_separate
-        Pair of effects that the next flight should separate; None unless the verdict is undecided.
+        Pair of effects that the next flight should separate; None unless they leave the verdict undecided.
     residual
         Unexplained residual that the findings refer to: `DecisionInputs.residual` or, if the cause is outside
         the library and the model without effects has findings too, `DecisionInputs.residual_without`.
     """
 
     verdict: Verdict
+    within_library: bool
     findings: tuple[Finding, ...]
     aliases: Aliases
     possible: Mapping[str, float]
@@ -131,23 +138,22 @@ class Decision:
     to_separate: tuple[str, str] | None
     residual: UnexplainedResidual
 
-    @property
-    def within_library(self) -> bool:
-        """Whether the selected effects go into the model."""
-        return self.verdict is not Verdict.OUTSIDE_LIBRARY
-
 
 def decide(inputs: DecisionInputs, rules: Rules = RULES) -> Decision:
     """Return the verdict on `inputs`, with its findings and alternatives."""
     outside, residual = _outside(inputs, rules)
+    late = time_ran_late(inputs.late_share, 0.0 if outside else rules.late_share)
+    if late:
+        outside, residual = [], inputs.residual
     shortfall = tracking_shortfall(inputs.tracking_s, inputs.extent_m, inputs.pose_interval_s, rules)
     aliases = _aliases(inputs, shortfall is not None, rules)
     undecided_reasons = [
+        *late,
         *([] if inputs.has_repeats else excess_disturbance(inputs, rules)),
         *_disagreement(inputs, rules),
     ]
     verdict = _verdict(inputs, outside, aliases, undecided_reasons, rules)
-    added = verdict is not Verdict.OUTSIDE_LIBRARY
+    added = verdict is not Verdict.OUTSIDE_LIBRARY and not late
     possible = possible_beside(inputs.selected, aliases, inputs.inclusion_probability, rules) if added else {}
     findings = [
         *outside,
@@ -156,9 +162,10 @@ def decide(inputs: DecisionInputs, rules: Rules = RULES) -> Decision:
         *_open_alternatives(inputs, verdict, aliases if added else {}, possible, rules),
         *hidden(inputs.detectability, inputs.selected if added else (), inputs.space, rules),
     ]
-    undecided = verdict is Verdict.UNDECIDED
+    undecided = verdict is Verdict.UNDECIDED and added
     return Decision(
         verdict=verdict,
+        within_library=added,
         findings=tuple(findings),
         aliases=aliases,
         possible=possible,
@@ -252,6 +259,18 @@ def tracking_shortfall(
         bound = rules.flight_fit_pose_s
         return Finding(code=Code.POSES_TOO_SLOW, value=pose_interval_s, bound=bound, unit="s")
     return None
+
+
+def time_ran_late(late_share: Mapping[str, float], bound: float) -> list[Finding]:
+    """Return a finding for each log whose share of the tracking phase in which time ran late exceeds `bound`.
+
+    late_share: that share, by log.
+    """
+    return [
+        Finding(code=Code.TIME_RAN_LATE, value=share, bound=bound, log=log)
+        for log, share in late_share.items()
+        if share > bound
+    ]
 
 
 def excess_disturbance(inputs: DecisionInputs, rules: Rules) -> list[Finding]:

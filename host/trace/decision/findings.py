@@ -40,6 +40,7 @@ class Code(StrEnum):
     BETTER_BUT_INADMISSIBLE = "better-but-inadmissible"
     SEGMENTS_DISAGREE = "segments-disagree"
     ONLY_HOVER = "only-hover"
+    TIME_RAN_LATE = "time-ran-late"
     # Effects that the data does not exclude or would not show.
     ALIAS = "alias"
     EXACT_ALIAS = "exact-alias"
@@ -63,6 +64,7 @@ class Code(StrEnum):
     SEGMENTS_WITH_GAPS = "segments-with-gaps"
     # Stretches of a flight that are not used.
     CLOCK_JUMP = "clock-jump"
+    LATE_POSES = "late-poses"
     MOTOR_AT_LIMIT = "motor-at-limit"
     PITCH_SINGULAR = "pitch-singular"
     IMPACT = "impact"
@@ -111,6 +113,7 @@ DOUBTS = frozenset(
         Code.BETTER_BUT_INADMISSIBLE,
         Code.SEGMENTS_DISAGREE,
         Code.ONLY_HOVER,
+        Code.TIME_RAN_LATE,
     }
 )
 """Findings on shortcomings of the flights as a whole; the JSON's `doubts` are their sentences."""

@@ -357,6 +357,25 @@ class Rules:
         "A clock has jumped if the smallest pose delay changes by more than this in a second: six latency "
         "tolerances.",
     )
+    late_recovery_s: float = _rule(
+        1.0,
+        "s",
+        "Time after late or wrongly stamped poses that is not used either: the loop recovers in it. Poses "
+        "count as wrongly stamped beyond `clock_jump_s`.",
+    )
+    late_pose_s: float = _rule(
+        0.05,
+        "s",
+        "A pose is late if it arrived by more than this later than the promptest of the hundred before and "
+        "after it: five poses. In ten pairs of flights beside eight busy processes, delays below it moved no "
+        "estimate.",
+    )
+    late_share: float = _rule(
+        0.25,
+        "1",
+        "A flight of which more than this share would be left out since time ran late is not judged. With "
+        "any such share, no cause is said to be outside the library.",
+    )
     clock_drift_s: float = _rule(
         0.002, "s", "Drift between the clocks of camera and vehicle above which the audit warns."
     )

@@ -11,6 +11,7 @@ from scipy.sparse import csr_array
 from trimtab.firmware_model.law import step as law_step
 from trimtab.host.log import Flight
 from trimtab.host.models.states import States, firmware_parameters_of
+from trimtab.host.trace.data.real_time import late_spans
 from trimtab.host.trace.data.signals import FlightData
 from trimtab.host.trace.decision.rules import RULES
 
@@ -52,7 +53,7 @@ class Recording:
         integral FRD. The rate integral is the value in the middle of the bin; the others are means.
     known
         Mask of the bins in which all channels were measured, without those in which the rate integral
-        reaches its limit, stays there or leaves it.
+        reaches its limit, stays there or leaves it, and those in which time ran late.
     rates, integrals
         Matrices (bins, samples) that map states sampled every SAMPLE_S to what telemetry records of them.
         Gyro means cover whole telemetry intervals. The rate integral is interpolated linearly between
@@ -111,7 +112,10 @@ def record(data: FlightData, states: States) -> Recording:
     between = _between_frames(FLIGHT_BIN_S * (np.arange(bins) + 0.5), frames_s)
     integral = between @ flight.control.rate_integral
     limited = _about(_at_limit(flight, integral))
-    late = FLIGHT_BIN_S * (np.arange(bins) + 0.5) < LEAD_S
+    middle_s = FLIGHT_BIN_S * (np.arange(bins) + 0.5)
+    unused = middle_s < LEAD_S
+    for begin_s, end_s in late_spans(flight):
+        unused |= (middle_s > begin_s - start) & (middle_s < end_s - start)
     return Recording(
         states=states,
         pose_s=t[inside],
@@ -126,7 +130,7 @@ def record(data: FlightData, states: States) -> Recording:
                 integral,
             ]
         ),
-        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~late & ~limited,
+        known=(count > 0) & (covered > RULES.min_coverage * FLIGHT_BIN_S) & ~unused & ~limited,
         rates=shares @ _interval_means(s.imu_s - start, samples),
         integrals=between @ interpolation(frames_s, samples),
     )

@@ -627,6 +627,7 @@ AFTER, BEFORE = (
     build_flight_repeat(share=5.0, z_score=50.0),
 )
 ASKED = {"drag": 1.5}
+LATE = {"a.mcap": 0.1}
 
 
 @pytest.fixture
@@ -661,7 +662,8 @@ def inputs_of(monkeypatch: pytest.MonkeyPatch) -> Callable[..., Any]:
             repeatability=(AFTER, BEFORE),
         )
         segment_model = cast(SegmentModel, SimpleNamespace(space=LIBRARY))
-        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, Tracking(12.0, 1.5, 0.02))
+        tracking = Tracking(12.0, 1.5, 0.02)
+        return gather_inputs(segment_model, diagnosis, repeat_flights, unknown, tracking, LATE)
 
     return gather
 
@@ -717,4 +719,5 @@ def test_evidence_without_a_known_thrust_leaves_out_the_axial_force(
 def test_evidence_states_whether_the_measured_rate_drives_the_attitude(
     inputs_of: Any, rate_driven: bool
 ) -> None:
+    assert inputs_of().late_share == LATE
     assert inputs_of(best=build_fit(("drag",), rate_driven=rate_driven)).rate_driven == rate_driven

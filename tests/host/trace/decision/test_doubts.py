@@ -16,6 +16,7 @@ from tests.host.trace.decision.cases import (
     ALONE,
     BELOW,
     FORCE,
+    REPEATING,
     SHAKEN,
     TIE_NATS,
     TORQUE,
@@ -31,6 +32,38 @@ from trimtab.host.trace.decision.decide import (
 from trimtab.host.trace.decision.findings import Code, Verdict
 from trimtab.host.trace.decision.rules import RULES
 from trimtab.host.trace.sentences import sentence
+
+# Time that ran late.
+
+ALLOWED = RULES.late_share
+
+
+@pytest.mark.parametrize("selected", [(), ("drag",)], ids=["null", "drag"])
+def test_flight_in_which_time_ran_late_for_long_leaves_undecided_and_names_nothing(selected: Names) -> None:
+    decision = decide(build_inputs(selected, late_share={"a.mcap": ALLOWED, "b.mcap": ALLOWED * ABOVE}))
+    (finding,) = (each for each in decision.findings if each.code is Code.TIME_RAN_LATE)
+    assert decision.verdict is Verdict.UNDECIDED
+    assert (finding.log, finding.value, finding.bound) == ("b.mcap", ALLOWED * ABOVE, ALLOWED)
+    assert not decision.within_library
+    assert decision.possible == {}
+    assert decision.to_separate is None
+    assert "b.mcap: time ran late in " in sentence(finding)
+
+
+def test_flight_in_which_time_ran_late_shortly_is_judged_by_the_rest() -> None:
+    decision = decide(build_inputs(("drag",), late_share={"a.mcap": ALLOWED}))
+    assert (decision.verdict, decision.within_library) == (Verdict.TRACED, True)
+
+
+@pytest.mark.parametrize(
+    ("share", "expected"),
+    [(0.0, Verdict.OUTSIDE_LIBRARY), (0.01, Verdict.UNDECIDED), (0.9, Verdict.UNDECIDED)],
+)
+def test_late_time_never_makes_a_cause_outside_the_library(share: float, expected: Verdict) -> None:
+    decision = decide(build_inputs((), residual=REPEATING, late_share={"a.mcap": share}))
+    assert decision.verdict is expected
+    assert (Code.TIME_RAN_LATE in codes_of(decision.findings)) == (expected is Verdict.UNDECIDED)
+
 
 # Excess disturbance.
 

@@ -90,4 +90,5 @@ def test_reasons_and_doubts_are_the_documented_codes() -> None:
         "better-but-inadmissible",
         "segments-disagree",
         "only-hover",
+        "time-ran-late",
     }
