@@ -66,6 +66,18 @@ class Brakes(NamedTuple):
         """Return the greatest horizontal deceleration while a climb is slowed down by `rising`."""
         return min(self.sideways, self.tilt * max(_LEAST_LIFT, GRAVITY - rising))
 
+    def steps(self, hardest: float) -> list[float]:
+        """Return the decelerations that a stop tries, in increasing order."""
+        return sorted({min(factor * self.gentle, hardest) for factor in HARDER} | {hardest})
+
+    def climb(self, rising: float, room: float) -> float:
+        """Return the deceleration of a climb at this speed that stops within `room`, m; else the greatest."""
+        steps = self.steps(self.rising)
+        ramp_s = 1e-6 * VERTICAL_RAMP_US
+        return next(
+            (each for each in steps if rising * (0.5 * rising / each + 0.5 * ramp_s) <= room), steps[-1]
+        )
+
 
 def braked(state: Node, brakes: Brakes, room: Room, still: float = 1e-9) -> Timeline:
     """Return the nodes of a stop from `state`; only `state` if speed and acceleration are within `still`.
@@ -81,7 +93,7 @@ def braked(state: Node, brakes: Brakes, room: Room, still: float = 1e-9) -> Time
     vertical, down = _gentlest(
         state,
         _DOWN,
-        _steps(brakes.gentle, hardest),
+        brakes.steps(hardest),
         lambda each: stopped(state, _DOWN, each, VERTICAL_RAMP_US),
         room,
     )
@@ -89,7 +101,7 @@ def braked(state: Node, brakes: Brakes, room: Room, still: float = 1e-9) -> Time
     _, sideways = _gentlest(
         state,
         _SIDEWAYS,
-        _steps(brakes.gentle, brakes.sideways),
+        brakes.steps(brakes.sideways),
         lambda each: _sideways(state, each, beside, down[-1][0]),
         room,
     )
@@ -183,11 +195,6 @@ def node_at_rest(p: Vector) -> Node:
     return (*p, *ZERO, *ZERO, *ZERO)
 
 
-def _steps(gentle: float, hardest: float) -> list[float]:
-    """Return the decelerations to try, in increasing order."""
-    return sorted({min(factor * gentle, hardest) for factor in HARDER} | {hardest})
-
-
 def _gentlest(
     state: Node,
     axes: Sequence[int],
@@ -213,8 +220,10 @@ def _gentlest(
 
 def _sideways(state: Node, deceleration: float, beside: float, until_us: int) -> Timeline:
     """Return the nodes of a horizontal stop by `deceleration`, but by `beside` at most until `until_us`."""
+    if until_us <= SIDEWAYS_RAMP_US:  # it ends before the deceleration is reached
+        beside = deceleration
     limited = stopped(state, _SIDEWAYS, min(deceleration, beside), SIDEWAYS_RAMP_US)
-    if deceleration <= beside or len(limited) < 4 or limited[2][0] <= until_us or until_us <= limited[1][0]:
+    if deceleration <= beside or len(limited) < 4 or limited[2][0] <= until_us:
         return limited
     node = _at(limited, until_us)
     rest = stopped(node, _SIDEWAYS, deceleration, SIDEWAYS_RAMP_US)

@@ -12,7 +12,7 @@ import math
 from collections.abc import Mapping, Sequence
 from typing import NamedTuple
 
-from trimtab.firmware_model.flight.braking import VERTICAL_RAMP_US, Brakes
+from trimtab.firmware_model.flight.braking import SIDEWAYS_RAMP_US, VERTICAL_RAMP_US, Brakes
 from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT, Box
 from trimtab.firmware_model.law.constants import GRAVITY
 
@@ -34,8 +34,8 @@ TURN_SHARE = 0.7
 """Mean body rate of a turn of the thrust axis over ATT_P times its angle."""
 TURN_S = 0.05
 """Time that a turn of the thrust axis takes beyond that: the body rate has to build up and to end."""
-NEXT_STEP = 1.2
-"""Deceleration of the next step of `braking.HARDER` over that which is just needed."""
+SHARE_MIN = 0.3
+"""Least share of a horizontal deceleration along an axis, for one along which the vehicle hardly moves."""
 IMPACT_SPEED = 1.0
 """Greatest speed (m/s) at which a stop may still meet the floor."""
 
@@ -85,18 +85,18 @@ class Envelope(NamedTuple):
         room: height (m) that is left for a climb. A climb that needs a hard stop leaves less lift to tilt.
         """
         rising = max(0.0, -motion.v[2])
-        needed = rising * rising / (2.0 * max(room, 1e-3))
-        needed = min(max(NEXT_STEP * needed, self.brakes.gentle), self.brakes.rising)
+        needed = self.brakes.climb(rising, room)
         beside, brake = self.brakes.sideways_beside(needed), self.brakes.sideways
-        beside_s = rising / needed
+        beside_s = rising / needed + 1e-6 * (VERTICAL_RAMP_US + SIDEWAYS_RAMP_US / 2) if rising else 0.0
         brake_tilt = math.atan2(brake, GRAVITY)
         tilt = math.acos(min(max(motion.cos_tilt, -1.0), 1.0))
         level = max(math.hypot(motion.a[0], motion.a[1]), 1e-6)
+        shares = _shares(motion, 0.5 * self._turn_s(brake_tilt + tilt))
         distances = []
         for axis, side in ((0, 1.0), (0, -1.0), (1, 1.0), (1, -1.0)):
-            v, a = side * motion.v[axis], side * motion.a[axis]
-            turn_s = self._turn_s(max(0.0, brake_tilt + tilt * a / level))
-            distances.append(_stop_distance(v, a, (max(beside, -a), max(brake, -a)), beside_s, turn_s))
+            v, a, share = side * motion.v[axis], side * motion.a[axis], shares[axis]
+            turn_s = max(1e-6 * SIDEWAYS_RAMP_US, self._turn_s(max(0.0, brake_tilt + tilt * a / level)))
+            distances.append(_stop_distance(v, a, (share * beside, share * brake), beside_s, turn_s))
         north, south, east, west = distances
         return north, south, east, west
 
@@ -106,10 +106,11 @@ class Envelope(NamedTuple):
         A vehicle that moves sideways must stop CLEAR_HEIGHT above the floor.
         """
         sinking, a = motion.v[2], motion.a[2]
-        sideways = math.hypot(motion.v[0], motion.v[1])
+        turn_s = self._turn_s(math.acos(min(max(motion.cos_tilt, -1.0), 1.0)))
+        sideways = math.hypot(*(motion.v[axis] + 0.5 * turn_s * motion.a[axis] for axis in (0, 1)))
         if sideways > IMPACT_SPEED:
             height -= CLEAR_HEIGHT
-        turn_s = self._turn_s(math.acos(min(max(motion.cos_tilt, -1.0), 1.0))) + 0.5e-6 * VERTICAL_RAMP_US
+        turn_s += 0.5e-6 * VERTICAL_RAMP_US
         brake = max(self.brakes.sinking, SINKING_MIN)
         after = sinking + turn_s * (a - brake) / 2.0
         left = height - (sinking * turn_s + turn_s**2 * (2.0 * a - brake) / 6.0)
@@ -145,21 +146,30 @@ def envelope(parameters: Mapping[str, float], thrust_ratio: float, gentle: float
     return Envelope(brakes=brakes, lag_s=parameters["MOTOR_LAG"], turn_rate=turn_rate)
 
 
-def stops_outside(envelope: Envelope, motion: Motion, fence: Box, floor: float) -> bool:
+def stops_outside(envelope: Envelope, motion: Motion, fence: Box, margin: float, floor: float) -> bool:
     """Return whether a stop that began now would end outside the fence, or meet the floor too fast.
 
-    floor: floor of the take-off (m, down). Below it, the bottom of the fence is the floor.
+    margin: distance (m) by which it may end outside. floor: floor of the take-off (m, down). Below it, the
+    bottom of the fence is the floor.
     """
     (south, north), (west, east), (top, bottom) = fence
     p = motion.p
     room = p[2] - top
-    if envelope.apex(motion) > room:
+    if envelope.apex(motion) > room + margin:
         return True
     to_north, to_south, to_east, to_west = envelope.sideways(motion, room)
-    if p[0] + to_north > north or p[0] - to_south < south or p[1] + to_east > east or p[1] - to_west < west:
+    past = (p[0] + to_north - north, south - p[0] + to_south, p[1] + to_east - east, west - p[1] + to_west)
+    if max(past) > margin:
         return True
     height = floor - p[2]
-    return envelope.impact_speed(motion, height if height >= 0.0 else bottom - p[2]) > IMPACT_SPEED
+    return envelope.impact_speed(motion, height if height >= 0.0 else bottom + margin - p[2]) > IMPACT_SPEED
+
+
+def _shares(motion: Motion, after_s: float) -> tuple[float, float]:
+    """Return the share of a horizontal deceleration that acts along each axis: a stop is a straight line."""
+    north, east = (motion.v[axis] + after_s * motion.a[axis] for axis in (0, 1))
+    speed = max(math.hypot(north, east), 1e-6)
+    return max(SHARE_MIN, abs(north) / speed), max(SHARE_MIN, abs(east) / speed)
 
 
 def _stop_distance(v: float, a: float, brakes: tuple[float, float], first_s: float, turn_s: float) -> float:
@@ -176,4 +186,5 @@ def _stop_distance(v: float, a: float, brakes: tuple[float, float], first_s: flo
     first_s = min(max(0.0, first_s - turn_s), after / first)
     distance += first_s * (after - first * first_s / 2.0)
     after -= first * first_s
-    return max(0.0, distance + after * after / (2.0 * second))
+    ramp_s = 1e-6 * SIDEWAYS_RAMP_US  # in which the deceleration ends
+    return max(0.0, distance + after * after / (2.0 * second) + second * ramp_s**2 / 24.0)

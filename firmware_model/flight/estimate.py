@@ -47,18 +47,19 @@ class Estimate:
         now_us: int,
         *,
         flying: bool,
-        off_floor: bool,
+        armed: bool,
     ) -> bool:
         """Queue a pose for the next tick; return False if it is rejected.
 
-        In flight, a pose far from the estimate is rejected. Off the floor and in motion, a repetition of the
-        previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose. Once
+        While armed, a pose far from the estimate is rejected. In flight and in motion, a repetition of the
+        previous pose is rejected: a camera system that has lost the vehicle may repeat its last pose. That
+        holds in a take-off too, in which the repeated pose itself keeps the estimate on the floor. Once
         poses of two sources were detected, every pose is rejected: nobody knows which source is right.
         """
         repeats = self.poses.repeats(p, q)
-        if not flying:
+        if not armed:
             return self.poses.offer(time_us, p, q, now_us)
-        frozen = repeats and off_floor and self._moving()
+        frozen = flying and repeats and self._moving()
         accepted = not (
             frozen or self.clash.found or self._is_outlier(time_us, p, q, now_us)
         ) and self.poses.offer(time_us, p, q, now_us)

@@ -11,7 +11,6 @@ from collections.abc import Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.condition_monitor import (
-    CLEAR_HEIGHT,
     LEVEL,
     ConditionMonitor,
     Observation,
@@ -42,6 +41,8 @@ OFF_TRACK_M = 0.5
 """Distance (m) from its reference beyond which a vehicle is judged by its own stopping point."""
 POSES_US = 200_000
 """Time since the last pose within which poses count as arriving."""
+AFTER_DIRECT_US = 1_000_000
+"""Time after a directly commanded attitude in which other setpoints are judged like it."""
 BOOT_US = 200_000
 """Time from power to standby."""
 UPDATE_TICKS = 10
@@ -105,6 +106,7 @@ class Flight:
         self.changed = True
         self.saturated_ticks = 0
         self.flight_ticks = 0
+        self._direct_us = -AFTER_DIRECT_US
         self.monitor = ConditionMonitor(parameters)
 
         self._engine, self._run_law = engine, engine.run
@@ -209,11 +211,11 @@ class Flight:
         """Queue a pose (NED; q_ned_frd, w first) measured at `time_us`; return False if it is rejected."""
         if self.state is State.BOOT:
             return False
-        flying = self._flying
-        off_floor = flying and self.height_m > CLEAR_HEIGHT
         clash = self._estimate.clash
         known = clash.found
-        accepted = self._estimate.offer(time_us, p, q, now_us, flying=flying, off_floor=off_floor)
+        accepted = self._estimate.offer(
+            time_us, p, q, now_us, flying=self._flying, armed=self.state is not State.STANDBY
+        )
         if clash.found and not known:
             self._report(_CRITICAL, "poses of two sources: none is used")
         return accepted
@@ -274,7 +276,7 @@ class Flight:
             return
         self._observe(now_us, battery_v)
         active = self.monitor.active_conditions()
-        if self._flying and self._stops_outside():
+        if self._flying and self._stops_outside(now_us):
             active.append(BY_EVENT[Event.FENCE_AHEAD])
         self.conditions = 0
         for condition in active:
@@ -321,13 +323,18 @@ class Flight:
         )
         self.monitor.observe(now_us, observation)
 
-    def _stops_outside(self) -> bool:
+    def _stops_outside(self, now_us: int) -> bool:
         """Return whether nothing but a stop now keeps the vehicle inside the fence and off the floor.
 
-        A vehicle that is near its reference is where the reference is, which does not leave the fence.
+        A vehicle that is near its reference is where the reference is, which does not leave the fence, unless
+        it began in a motion that attitudes had caused.
         """
         memory = self._memory
-        if not self._offboard.direct and math.dist(self.outputs["reference"][:3], memory[:3]) < OFF_TRACK_M:
+        if self._offboard.direct:
+            self._direct_us = now_us
+        near = math.dist(self.outputs["reference"][:3], memory[:3]) < OFF_TRACK_M
+        follows = self.state is not State.OFFBOARD or now_us - self._direct_us > AFTER_DIRECT_US
+        if not self._offboard.direct and near and follows:
             return False
         a = mat_vec(quat_to_matrix(FLOAT, memory[law.EST_Q]), self._force)
         motion = Motion(
@@ -337,8 +344,8 @@ class Flight:
             thrust=self._phases.thrust,
             cos_tilt=self._cos_tilt[0],
         )
-        box = fence(self.parameters, self.parameters["FS_FENCE_M"])
-        return stops_outside(self._phases.envelope, motion, box, self._phases.floor)
+        values, phases = self.parameters, self._phases
+        return stops_outside(phases.envelope, motion, fence(values), values["FS_FENCE_M"], phases.floor)
 
     @property
     def _lift(self) -> float:

@@ -312,8 +312,14 @@ def test_pose_repeated_or_out_of_order_is_used_once(make_rig):
 
 def test_poses_that_repeat_one_to_the_bit_are_used_on_the_floor_and_not_in_flight(make_rig):
     rig = make_rig()
-    rig.take_off()  # its poses on the floor are all the same
-    assert rig.flight.poses.used > 70
+    rig.mocap = False
+    place = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    rig.run(0.3)
+    for _ in range(70):
+        rig.run(0.01)
+        assert rig.flight.pose(rig.now_us, *place, rig.now_us)
+    rig.mocap = True
+    rig.take_off()
     while rig.flight.height_m < 0.4:
         rig.run(0.01)
     rig.mocap = False
@@ -323,6 +329,31 @@ def test_poses_that_repeat_one_to_the_bit_are_used_on_the_floor_and_not_in_fligh
     assert not rig.flight.pose(now_us + 1_000, p, q, now_us + 1_000)
     assert not rig.flight.pose(now_us + 2_000, p, q, now_us + 2_000)
     assert rig.flight.pose(now_us + 3_000, (*p[:2], p[2] - 1e-6), q, now_us + 3_000)
+
+
+def test_takeoff_under_poses_that_repeat_the_last_one_on_the_floor_ends_low(make_rig):
+    rig = make_rig()
+    rig.take_off()
+    rig.mocap = False
+    place, heights = ((0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)), []
+    for _ in range(500):  # without the check on the floor it climbed until the poses came back
+        rig.flight.pose(rig.now_us, *place, rig.now_us)
+        rig.run(0.01)
+        heights.append(-rig.body.p[2])
+    assert rig.flight.failsafe is Failsafe.MOCAP_LOST
+    assert max(heights) < 0.5
+    assert heights[-1] == 0.0
+
+
+def test_outliers_on_the_floor_are_rejected_once_it_is_armed(make_rig):
+    rig = make_rig()
+    rig.standby()
+    far = (8.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    for _ in range(20):
+        rig.run(0.01)
+        assert not rig.flight.pose(rig.now_us, *far, rig.now_us)
+    assert rig.estimate() == pytest.approx((0.0, 0.0, 0.0), abs=1e-3)
 
 
 def test_poses_that_repeat_one_to_the_bit_are_used_where_it_hovers_without_any_motion(make_session):
