@@ -1,6 +1,7 @@
 # `make demo` and `make test` need Python 3.11 or newer and make; both set up .venv first.
 # `make fuzz` gives 10^7 inputs to everything that takes bytes, and 10^5 damaged logs to each reader of foreign logs;
-# FUZZ_SEED=n chooses others, FUZZ_INPUTS=n and FUZZ_LOGS=n their numbers.
+# FUZZ_SEED=n chooses others, FUZZ_INPUTS=n and FUZZ_LOGS=n their numbers. It also flies 10^4 random sequences against
+# the invariants of a flight; POLICY_SEEDS=first:end chooses others.
 # TRIMTAB_PYTHON=/path/to/python3 chooses the Python, TESTS=path narrows a test run, WORKERS=n its processes.
 
 VENV := .venv
@@ -16,6 +17,7 @@ FUZZ_INPUTS ?= 10000000
 FUZZ_LOGS ?= 100000
 FUZZ_SEED ?= 0
 FUZZ_WORKERS ?= 2
+POLICY_SEEDS ?= 0:10000
 PYTEST = $(PYTHON) -m pytest -n $(WORKERS) --dist loadgroup
 export TRIMTAB_PYTHON
 
@@ -62,6 +64,7 @@ bench: $(READY_BENCH)
 fuzz: $(READY_ALL)
 	$(PYTHON) -m trimtab.sitl.studies.fuzz --inputs $(FUZZ_INPUTS) --seed $(FUZZ_SEED) --workers $(FUZZ_WORKERS)
 	$(PYTHON) -m tests.fuzz.readers --inputs $(FUZZ_LOGS) --seed $(FUZZ_SEED)
+	$(PYTHON) -m trimtab.sitl.studies.policy --seeds $(POLICY_SEEDS) --workers $(FUZZ_WORKERS)
 
 generate: $(READY_ALL)
 	$(PYTHON) -m trimtab.protocol.generate

@@ -15,6 +15,7 @@ from pathlib import Path
 from time import thread_time_ns
 from typing import Any, Self
 
+from trimtab.firmware_model.flight.flight import Flight
 from trimtab.firmware_model.flight.verdict import check_blob
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
@@ -246,6 +247,11 @@ class SimulatedVehicle:
         """Return the true position and velocity, NED. For checks only."""
         x, y, z, vx, vy, vz = self._pose[0:6]
         return (x, y, z), (vx, vy, vz)
+
+    @property
+    def flight(self) -> Flight:
+        """Flight logic on board. For checks only."""
+        return self._flight_mcu.flight
 
     @property
     def motor_command(self) -> tuple[float, ...]:

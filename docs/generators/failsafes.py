@@ -18,7 +18,8 @@ from trimtab.firmware_model.flight.envelope import (
     THRUST_SHARE,
 )
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
-from trimtab.firmware_model.flight.flight import OFF_TRACK_M, UPDATE_TICKS
+from trimtab.firmware_model.flight.flight import AFTER_DIRECT_US, OFF_TRACK_M, UPDATE_TICKS
+from trimtab.firmware_model.flight.invariants import INVARIANTS, Invariant
 from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
     CHECKS,
@@ -150,8 +151,8 @@ With SET_ATTITUDE_TARGET no position is held. Rates stay within LIM_RATE_* and t
 Every 10 ms the vehicle predicts where a stop would end that began now, from its speed, its acceleration, and
 the thrust and tilt that are left. If that is more than `FS_FENCE_M` outside the fence, or on the floor at
 over {impact:g} m/s, it lands in place at once. The same prediction applies to a vehicle that is more than
-{off_track:g} m from its reference. A body rate that turns the vehicle over high above the floor still ends
-with the motors off (TILT).
+{off_track:g} m from its reference, and for {after:g} s after the last attitude to setpoints of position and
+velocity. A body rate that turns the vehicle over high above the floor still ends with the motors off (TILT).
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
 would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes harder: sideways up to a tilt of
@@ -159,6 +160,25 @@ would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes harder: 
 THRUST_FLOOR, in a descent with {share:.0%} of its greatest thrust.
 
 A landing from a height sinks at up to {fast:g} m/s, and at `LAND_SPEED` from {slow:g} m above the floor.
+"""
+
+
+_INVARIANTS = """
+## What holds in every flight
+
+The rows below hold for every sequence of commands, setpoints, uploads and faults, for parameters of limits,
+fence and failsafes within the ranges of `sitl/studies/policy/draws.py`, and with the vehicle's own data and
+gains as in its file. Heights, distances and speeds are true ones, measured from outside. `python -m
+trimtab.sitl.studies.policy` flies random sequences against this table. "None" means that no case is allowed.
+
+| name | what holds | bound | when, and for what |
+|---|---|---|---|
+"""
+
+_WRONG_POSES = """
+While poses are wrong, nothing holds that is about places and speeds: the vehicle has no other measure of its
+position. It refuses a pose that jumps by more than `EST_JUMP_M`, one that repeats the last in flight, and
+poses of a second source.
 """
 
 
@@ -203,12 +223,16 @@ def page() -> str:
                 clear=CLEAR_HEIGHT,
                 impact=IMPACT_SPEED,
                 off_track=OFF_TRACK_M,
+                after=1e-6 * AFTER_DIRECT_US,
                 tilt=SIDEWAYS_TILT_DEG,
                 rising=RISING_SHARE,
                 share=THRUST_SHARE,
                 fast=FAST_SPEED,
                 slow=SLOW_HEIGHT,
             ),
+            _INVARIANTS,
+            *map(_invariant, INVARIANTS),
+            _WRONG_POSES,
         )
     )
 
@@ -219,6 +243,11 @@ def _row(row: Condition) -> str:
     time = "" if row.timeout is None else ("" if row.lasting else "over ") + _default(row.timeout)
     cells = (f"{row.description}{name}", bound, time, _words(row.action.name), row.rationale, row.clears)
     return f"| {' | '.join(cells)} |\n"
+
+
+def _invariant(row: Invariant) -> str:
+    bound = f"{row.formula} {row.unit}".rstrip()
+    return f"| {row.name} | {row.statement} | {bound} | {row.condition} |\n"
 
 
 def _default(name: str) -> str:

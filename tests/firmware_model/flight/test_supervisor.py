@@ -4,6 +4,7 @@ import itertools
 
 import pytest
 
+from trimtab.firmware_model.flight.invariants import Moment, Transition, broken
 from trimtab.firmware_model.flight.supervisor import (
     COMMANDS,
     FAILURES,
@@ -14,6 +15,7 @@ from trimtab.firmware_model.flight.supervisor import (
     update,
 )
 from trimtab.firmware_model.services.handlers import TEXT_BYTES
+from trimtab.protocol.parameters import DEFAULTS
 
 
 def test_update_every_state_and_event_moves_or_refuses_with_a_reason():
@@ -57,6 +59,13 @@ def test_kill_in_flight_always_stops(state):
 @pytest.mark.parametrize("state", sorted(FLYING))
 def test_disarm_in_flight_is_refused(state):
     assert update(state, Event.DISARM).refusal is not None
+
+
+def test_accepted_events_break_no_invariant():
+    for (state, event), outcome in TRANSITIONS.items():
+        if outcome.refusal is None:
+            moment = Moment(parameters=DEFAULTS, transitions=(Transition(state, event, outcome.state),))
+            assert broken(moment) == [], f"{state.name}, {event.name}"
 
 
 def test_failure_in_the_air_never_returns_to_normal_flight():
