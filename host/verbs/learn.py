@@ -138,7 +138,7 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
     began = monotonic()
     flights = [read_flight(path) for path in logs]
     held_out = [read_flight(path) for path in options.hold_out or ()]
-    with Progress("learning", total=rounds) as bar:
+    with Progress("learning") as bar:
         learned = learn(
             flights,
             held_out,
@@ -148,7 +148,9 @@ def command(*logs: Path, options: LearnOptions = DEFAULTS) -> None:
             jobs=options.jobs,
             effects=effects,
             command=sys.argv[1:],
-            on_epoch=lambda turn, loss: bar.update(turn, detail=f"validation loss {loss:.3g}"),
+            on_epoch=lambda turn, loss: bar.update(
+                turn, detail=f"round {turn} of at most {rounds}, validation loss {loss:.3g}"
+            ),
             **choices,
         )
     if learned.is_written:

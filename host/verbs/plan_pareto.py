@@ -47,21 +47,24 @@ def trade(task: PlanTask, options: PlanOptions) -> None:
     assert task.model is not None
     count = len(FACTORS) + 2
     fly = None if options.world is None else _Flights(task, options, options.world)
-    with Progress(f"planning {task.route.name}", count if fly is None else 2 * count) as progress:
+    flown: list[Flown | None] = []
+    with Progress(f"planning {task.route.name}") as progress:
+
+        def on_point(point: Point) -> None:
+            """Fly the point's plan at once, so that the points take about the same time."""
+            progress.advance(0.0, point.label)
+            flown.append(None if fly is None or point.plan is None else fly(point))
+            progress.update(len(flown), total=count)  # the first one also compiled what all need
+
         points = pareto(
             task.route,
             task.vehicle,
             task.model,
             kind=options.kind or "min-residual",
-            on_point=lambda point: progress.advance(1.0, point.label),
+            on_point=on_point,
             **task.planner_options,
         )
-        if fly is not None:
-            for k, point in enumerate(points):
-                progress.advance(0.0, f"flying {point.label}")
-                if point.plan is not None:
-                    points[k] = replace(point, flown=fly(point))
-                progress.advance(1.0)
+    points = [replace(point, flown=result) for point, result in zip(points, flown, strict=True)]
     if options.report is not None:
         from trimtab.host.report.plan import trade_page
 
