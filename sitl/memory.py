@@ -6,11 +6,12 @@ import contextlib
 import fcntl
 import os
 import stat
-import tempfile
 from pathlib import Path
 
 from trimtab.firmware_model.storage.flash import ERASED, Flash
 from trimtab.firmware_model.storage.store import MAGIC, ReferenceStore, memory_bytes
+from trimtab.host.base.artefacts import write_atomic
+from trimtab.host.base.errors import UsageError
 from trimtab.host.vehicle import ConfigurationError, Vehicle
 
 
@@ -21,8 +22,9 @@ def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
     another vehicle.
     """
     try:
-        with contextlib.suppress(FileExistsError):
-            _make(path)
+        if not os.path.lexists(path):
+            with contextlib.suppress(UsageError):  # another process has made it, or opening it says why not
+                write_atomic(path, bytes(MAGIC.ljust(memory_bytes(), ERASED)), mode=0o600)
         file = os.open(path, os.O_RDWR | os.O_NONBLOCK)
     except OSError as error:
         raise _refused(path, f"{error.strerror}; name a file that can be written") from None
@@ -33,19 +35,6 @@ def open_memory(path: Path, vehicle: Vehicle) -> ReferenceStore:
         os.close(file)
         raise
     return store
-
-
-def _make(path: Path) -> None:
-    """Make a new, complete memory file atomically. Raises FileExistsError."""
-    if os.path.lexists(path):
-        raise FileExistsError
-    handle, name = tempfile.mkstemp(dir=path.parent, prefix=f".{path.name}.")
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(MAGIC.ljust(memory_bytes(), ERASED))
-        os.link(name, path)
-    finally:
-        os.unlink(name)
 
 
 def _image(path: Path, file: int) -> bytearray:

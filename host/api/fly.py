@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import closing, suppress
 from dataclasses import replace
 from itertools import count
 from pathlib import Path
@@ -15,6 +16,7 @@ from trimtab.host.base.errors import UsageError
 from trimtab.host.workspace import DEFAULT_VEHICLE, Workspace, open_workspace
 
 if TYPE_CHECKING:
+    from trimtab.host.base.parts import PartFile
     from trimtab.host.link.flight_request import Ask
     from trimtab.host.link.host_control import FlownBy
     from trimtab.host.link.keys import StationKey
@@ -151,7 +153,6 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         If the vehicle refuses the reference or to arm.
     """
     from trimtab.host.autopilot.kinds import autopilot_kind
-    from trimtab.host.base import artefacts
     from trimtab.host.link.blob_files import model_of, read_feedforward, read_reference
     from trimtab.host.link.drivers import Interrupts
     from trimtab.host.link.flight_request import FlightRequest
@@ -181,7 +182,6 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
             "--key": key,
         }
         _check_autopilot(given, asks=port is None or confirmed or ask is not None)
-    index = _flight_index(path, flight, any_log=log is not None or force)
     airframe = vehicle_of(vehicle, space)
     blob = read_reference(path)
     forward = None if feedforward is None else read_feedforward(feedforward)
@@ -205,37 +205,41 @@ def fly(  # noqa: PLR0913 (one keyword for each choice)
         autopilot=autopilot,
         yes=confirmed,
     )
+    swap_us, station = _swap_us(blob, following, at_s), _key(key, port)
+    part, index = _reserved(path, flight, log, force)
     if flight is None or command is None:
         words = [*words, "--flight", str(index)]
-    request = FlightRequest(
-        vehicle=airframe,
-        reference=blob,
-        feedforward=forward,
-        log_path=artefacts.check_log(log or _default_log(path, index), force),
-        port=port or "simulated vehicle",
-        cameras=mocap or "the camera system",
-        upload=port is None,
-        as_flashed=as_flashed,
-        parameters={**by.parameters, **_checked(parameters)},
-        model_id=model_of(path),
-        session={"seed": str(seed), "flight": str(index), **_provenance(words)},
-        camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
-        then=following,
-        swap_us=_swap_us(blob, following, at_s),
-        control=by.control,
-        key=_key(key, port),
-        autopilot=kind,
-        ask=None if port is None or confirmed else ask,
-    )
-    try:
-        if port is not None and mocap is not None:
-            result = fly_port(request, port, mocap, on_phase=on_phase, on_late=on_late)
-        else:
-            result = fly_simulated(request, simulation, index, on_phase, on_late)
-    except (FlightEnded, FlightInterrupted) as ended:
-        with Interrupts():  # a key that is held down must not suppress the result
-            ended.result = _with_clearance(ended.result, path)
-        raise
+    with closing(part):
+        request = FlightRequest(
+            vehicle=airframe,
+            reference=blob,
+            feedforward=forward,
+            log_path=part.target,
+            log_part=part,
+            port=port or "simulated vehicle",
+            cameras=mocap or "the camera system",
+            upload=port is None,
+            as_flashed=as_flashed,
+            parameters={**by.parameters, **_checked(parameters)},
+            model_id=model_of(path),
+            session={"seed": str(seed), "flight": str(index), **_provenance(words)},
+            camera_delay_us=None if port is None else round(1000 * mocap_delay_ms),
+            then=following,
+            swap_us=swap_us,
+            control=by.control,
+            key=station,
+            autopilot=kind,
+            ask=None if port is None or confirmed else ask,
+        )
+        try:
+            if port is not None and mocap is not None:
+                result = fly_port(request, port, mocap, on_phase=on_phase, on_late=on_late)
+            else:
+                result = fly_simulated(request, simulation, index, on_phase, on_late)
+        except (FlightEnded, FlightInterrupted) as ended:
+            with Interrupts():  # a key that is held down must not suppress the result
+                ended.result = _with_clearance(ended.result, path)
+            raise
     return _with_clearance(result, path)
 
 
@@ -266,19 +270,24 @@ def _check_autopilot(given: Mapping[str, object], *, asks: bool) -> None:
         raise UsageError("nobody is asked before the vehicle is armed; run it in a terminal, or add --yes")
 
 
-def _flight_index(reference: Path, flight: int | None, *, any_log: bool) -> int:
-    """Return the index of the flight: as given, or the first one that has no log, not even a part of one.
+def _reserved(
+    reference: Path, flight: int | None, log: str | Path | None, force: bool
+) -> tuple[PartFile, int]:
+    """Return the file of the log, which no other process writes, and the index of the flight.
 
-    any_log: whether the log has a name of its own, or may be overwritten.
+    Without an index, it is the first one that has no log, not even a part of one; it is 0 if the log has a
+    name of its own or may be overwritten. Raises UsageError.
     """
-    from trimtab.host.log import partial_path
+    from trimtab.host.base.artefacts import reserve_log
+    from trimtab.host.base.parts import NameTaken
 
-    if flight is not None:
-        return flight
-    if any_log:
-        return 0
-    logs = ((index, _default_log(reference, index)) for index in count())
-    return next(index for index, log in logs if not (log.exists() or partial_path(log).exists()))
+    if flight is not None or log is not None or force:
+        index = flight or 0
+        return reserve_log(log or _default_log(reference, index), force), index
+    for index in count():
+        with suppress(NameTaken):
+            return reserve_log(_default_log(reference, index)), index
+    raise AssertionError("there is no last index")
 
 
 def _default_log(reference: Path, flight: int) -> Path:
@@ -370,13 +379,11 @@ def _equivalent_command(reference: Path, **options: object) -> list[str]:
 
 
 def _provenance(words: Sequence[str]) -> dict[str, str]:
-    """Return version, git state and command for the log."""
+    """Return program and command for the log."""
     from trimtab.host.base import artefacts
 
     words = artefacts.without_options(words, _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
-    provenance = {"version": artefacts.version(), "command": artefacts.public_command(words)}
-    git = artefacts.git_state()
-    return provenance | {"git": git} if git is not None else provenance
+    return artefacts.log_provenance(words)
 
 
 def _with_clearance(result: FlightResult, path: Path) -> FlightResult:

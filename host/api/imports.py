@@ -14,6 +14,7 @@ from trimtab.host.base.parallel import one_thread_of_algebra
 from trimtab.host.workspace import Workspace, open_workspace
 
 if TYPE_CHECKING:
+    from trimtab.host.base.parts import PartFile
     from trimtab.host.effects import Effect
     from trimtab.host.imports.contents import Topic
     from trimtab.host.imports.formats import FormatName
@@ -243,6 +244,7 @@ def import_log(  # noqa: PLR0913 (one keyword for each choice)
         If arguments, the map or the vehicle file cannot be used, or the log exists.
     """
     from trimtab.host.base import artefacts
+    from trimtab.host.base.program import version
     from trimtab.host.effects import load_effects
     from trimtab.host.imports.formats import module
     from trimtab.host.imports.scrub import SOURCE, scrubbed
@@ -250,19 +252,22 @@ def import_log(  # noqa: PLR0913 (one keyword for each choice)
     given = ForeignLog.of(path, format, columns=columns, topics=topics)
     if given.format == "csv" and columns is None:
         raise UsageError("the csv format needs --columns MAP.toml")
-    target = artefacts.check_log(log, force)
-    airframe = _vehicle(open_workspace(workspace), vehicle)
-    recording = given.read()
-    held = module(given.format).contents(given.path)
-    provenance = {"version": artefacts.version()}
-    if scrub:
-        recording, airframe = scrubbed(recording), airframe.replace(name=SOURCE)
-    else:
-        provenance |= _origin(given, command)
-    flight, messages, cut, differing = _write(recording, airframe, target, given.format, provenance)
+    part = artefacts.reserve_log(log, force)
+    try:
+        airframe = _vehicle(open_workspace(workspace), vehicle)
+        recording = given.read()
+        held = module(given.format).contents(given.path)
+        provenance = {"version": version()}
+        if scrub:
+            recording, airframe = scrubbed(recording), airframe.replace(name=SOURCE)
+        else:
+            provenance |= _origin(given, command)
+        flight, messages, cut, differing = _write(recording, airframe, part, given.format, provenance)
+    finally:
+        part.discard()
     shown = replace(recording, cut=cut)
     return Imported(
-        log=target,
+        log=part.target,
         flight=flight,
         format=given.format,
         recognised=given.recognised,
@@ -303,23 +308,18 @@ def _vehicle(space: Workspace, vehicle: Vehicle | str | Path | None) -> Vehicle:
 
 
 def _write(
-    recording: Recording, vehicle: Vehicle, output: Path, name: FormatName, provenance: dict[str, str]
+    recording: Recording, vehicle: Vehicle, part: PartFile, name: FormatName, provenance: dict[str, str]
 ) -> tuple[Flight, dict[str, int], tuple[Cut, ...], list[str]]:
-    """Write the complete log or nothing. Return its flight, messages, what was cut, and what does not fit.
+    """Write and publish the log. Return its flight, messages, what was cut, and what does not fit.
 
     Raises ImportFormatError if the motors contradict the vehicle.
     """
     from trimtab.host.imports.fitting import check_fit
     from trimtab.host.imports.write import write
-    from trimtab.host.log import partial_path, read_flight
+    from trimtab.host.log import read_flight
 
-    growing = output.with_name(output.name + ".import")
-    try:
-        messages, cut = write(recording, vehicle, growing, format=name, provenance=provenance)
-        flight = read_flight(growing)
-        differing = check_fit(flight, recording.source)
-        growing.replace(output)
-    finally:
-        growing.unlink(missing_ok=True)
-        partial_path(growing).unlink(missing_ok=True)
-    return replace(flight, path=output), messages, cut, differing
+    messages, cut = write(recording, vehicle, part, format=name, provenance=provenance)
+    flight = read_flight(part.path)
+    differing = check_fit(flight, recording.source)
+    part.publish()
+    return replace(flight, path=part.target), messages, cut, differing

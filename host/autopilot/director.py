@@ -55,10 +55,11 @@ class StreamDirector(Director):
         nodes = request.reference.nodes_ned()
         check_limits(request.reference, request.vehicle)
         camera = CameraClock(request.camera_delay_us)
-        super().__init__(Session(self._script, camera, request.key, forward=self._forward), on_phase)
+        session = Session(self._script, camera, request.key, forward=self._forward)
+        super().__init__(session, request, on_phase)
         kind = request.autopilot
         assert kind is not None
-        self._request, self._kind = request, kind
+        self._kind = kind
         self._highest_m = -min(node.state[2] for node in nodes)
         self._situation = Situation(kind)
         self._pose_us: int | None = None
@@ -82,6 +83,7 @@ class StreamDirector(Director):
 
     def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
         request, situation = self._request, self._situation
+        self._reserve_log()
         yield FindAutopilot(situation, request.port)
         self._note("checking")
         yield SettleClock()
@@ -169,7 +171,7 @@ class StreamDirector(Director):
         )
         timing = self.session.pose_timing
         channels = FLIGHT_TOPICS if timing is None else FLIGHT_TOPICS + TIMING_TOPICS
-        self._log = LogWriter(request.log_path, provenance, channels)
+        self._log = LogWriter(self._reserve_log(), provenance, channels)
         self.log_open = True
         self._recorder = self._stream_log = StreamRecorder(
             self._log, self.session.client, self.session.camera, request.reference, now_us, timing=timing

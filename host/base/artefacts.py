@@ -8,22 +8,28 @@ import hashlib
 import json
 import os
 import shlex
-import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator, Mapping, Sequence
-from importlib import metadata
+from io import BufferedWriter
 from pathlib import Path
 from typing import Any, BinaryIO
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import (
+    NameTaken,
+    PartFile,
+    exists,
+    open_only_part,
+    open_part,
+    remove_interrupted,
+)
+from trimtab.host.base.program import git_state, program_id, version
 from trimtab.host.base.text import readable
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO)
 """Error numbers for a file that cannot be written completely. The user can fix these; they are not bugs."""
 LOG_SUFFIX = ".mcap"
-CHANGED = "-dirty"
-"""End of `git_state` if files of the checkout differ from its commit."""
 SEALED_OPTIONS = ("--world", "--world-seed", "--plant", "--plant-options", "--truth")
 """Options that reveal the content of a simulated world. Every provenance leaves them out."""
 
@@ -55,26 +61,20 @@ def check_output(path: str | Path, force: bool = False) -> Path:
     if target.is_dir():
         raise UsageError(f"{path}: is a folder; give a file name")
     if target.exists() and not force:
-        raise UsageError(f"{path}: exists; choose another name or add --force")
+        raise NameTaken(exists(path))
     return target
 
 
-def check_log(path: str | Path, force: bool = False) -> Path:
-    """Check that the flight log `path` can be written, like `check_output`, and return it.
+def reserve_log(path: str | Path, force: bool = False) -> PartFile:
+    """Open the file of the flight log `path`, which only this process writes. Call this before the work.
 
-    Raises UsageError also if its name does not end in `.mcap`, or if an interrupted flight left a file that
-    can be recovered and `force` is not set.
+    What interrupted flights left stays. Raises UsageError like `check_output`, and if the name does not end
+    in `.mcap`; NameTaken if another process is writing it, or if an interrupted flight left a file that can
+    be recovered and `force` is not set.
     """
     if Path(path).suffix != LOG_SUFFIX:
         raise UsageError(f"{path}: give the flight log a name that ends in {LOG_SUFFIX}")
-    target = check_output(path, force)
-    partial = target.with_name(target.name + ".part")
-    if partial.exists() and not force:
-        raise UsageError(
-            f"{partial}: the log of an interrupted flight; run `trimtab log recover {path}` and remove it, "
-            "choose another name or add --force"
-        )
-    return target
+    return open_only_part(check_output(path, force), force=force)
 
 
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
@@ -123,25 +123,31 @@ def _check_writable(path: str | Path, folder: Path) -> None:
 
 
 @contextlib.contextmanager
-def open_atomic(path: str | Path, force: bool = False) -> Iterator[BinaryIO]:
+def open_atomic(
+    path: str | Path, force: bool = False, *, alone: bool = False, durable: bool = False, mode: int = 0o666
+) -> Iterator[BinaryIO]:
     """Yield a binary file that appears as `path` when the block ends without an error.
 
-    Until then, its name is `path`.part. Raises UsageError like `check_output`, or OSError with the name of
-    the file if it cannot be written.
+    alone: no other process writes this file meanwhile, so that several files can be written together.
+    durable: a power cut after the block does not harm it. mode: permissions, as far as the umask allows.
+    Raises UsageError like `check_output`, NameTaken if another process writes it `alone`, or OSError with
+    the name of the file if it cannot be written.
     """
     target = check_output(path, force)
-    partial = target.with_name(target.name + ".part")
+    if target.suffix != LOG_SUFFIX:  # what is left of a log can be recovered
+        remove_interrupted(target)
+    part = open_only_part(target, force=force) if alone else open_part(target, force=force, mode=mode)
+    file = BufferedWriter(part.file)
     try:
-        with partial.open("wb") as file:
-            yield file
-        check_output(target, force)
-        os.replace(partial, target)
-    except BaseException as error:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
-        if isinstance(error, OSError) and (error.errno in NO_ROOM or error.filename == str(partial)):
-            error.filename = str(target)  # write() gives no name, open() that of the temporary file
+        yield file
+        file.flush()
+        part.publish(durable=durable)
+    except OSError as error:
+        if error.errno in NO_ROOM or error.filename == str(part.path):
+            error.filename = str(target)  # write() gives no name, and that of the part means nothing
         raise
+    finally:
+        part.discard()
 
 
 @contextlib.contextmanager
@@ -158,9 +164,11 @@ def folder_atomic(path: str | Path) -> Iterator[Path]:
         os.rename(Path(temporary) / target.name, target)
 
 
-def write_atomic(path: str | Path, content: bytes | str, force: bool = False) -> Path:
-    """Write the complete content to `path` or nothing, and return the path. Raises UsageError."""
-    with open_atomic(path, force) as file:
+def write_atomic(
+    path: str | Path, content: bytes | str, force: bool = False, *, durable: bool = False, mode: int = 0o666
+) -> Path:
+    """Write the complete content to `path` or nothing, and return the path. Raises like `open_atomic`."""
+    with open_atomic(path, force, durable=durable, mode=mode) as file:
         file.write(readable(content).encode() if isinstance(content, str) else content)
     return Path(path)
 
@@ -184,37 +192,15 @@ def check_recorded(path: str | Path, *, suffix: str, what: str, force: bool = Fa
 
 
 def write_recorded(path: Path, content: bytes, record: Mapping[str, Any], force: bool = False) -> Path:
-    """Write an artefact and its record, each whole or not at all, the artefact last. Raises UsageError."""
+    """Write an artefact and its record, each whole or not at all, the artefact last. Raises UsageError.
+
+    Of two processes that write the same artefact, one is refused: record and artefact belong together.
+    """
     text = json.dumps(record, indent=2, sort_keys=True, allow_nan=False) + "\n"
-    write_atomic(record_path(path), text, force)
-    return write_atomic(path, content, force)
-
-
-def version() -> str:
-    """Return the installed version of Trimtab."""
-    return metadata.version("trimtab")
-
-
-def git_state() -> str | None:
-    """Return the commit of the checkout of this code, with CHANGED for changes; None outside a checkout."""
-    root = Path(__file__).resolve().parents[2]
-    if not (root / ".git").exists():
-        return None
-    command = [
-        "git",
-        "-C",
-        str(root),
-        "describe",
-        "--always",
-        f"--dirty={CHANGED}",
-        "--abbrev=12",
-        "--exclude=*",
-    ]
-    try:
-        answer = subprocess.run(command, capture_output=True, check=False, timeout=10)
-    except (OSError, subprocess.TimeoutExpired):
-        return None
-    return answer.stdout.decode(errors="replace").strip() or None
+    with open_atomic(path, force, alone=True) as file:
+        file.write(content)
+        write_atomic(record_path(path), text, force)
+    return path
 
 
 def without_options(words: Sequence[str], with_value: Sequence[str], flags: Sequence[str] = ()) -> list[str]:
@@ -271,6 +257,15 @@ def provenance(
         "seed": seed,
         "parents": dict(parents or {}),
     }
+
+
+def log_provenance(argv: Sequence[str] | None = None) -> dict[str, str]:
+    """Return the program and the command of a flight, for its log. argv: as for `public_command`.
+
+    The same program gives the same entries wherever it is installed, with git or without: a log's id covers
+    its provenance.
+    """
+    return {"version": version(), "program_id": program_id(), "command": public_command(argv)}
 
 
 def _without_folder(word: str) -> str:

@@ -14,9 +14,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, TypeVar
 
-from trimtab.host.base.artefacts import git_state, version, write_atomic
+from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.output import json_text
+from trimtab.host.base.program import git_state, version
 
 CONFIG, PIECES, SHARD = "study.json", "pieces", "shard"
 

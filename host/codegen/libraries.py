@@ -21,6 +21,7 @@ from contextlib import suppress
 from pathlib import Path
 from typing import TypeVar
 
+from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import TrimtabError
 from trimtab.host.base.text import readable
 from trimtab.host.base.trust import UntrustedError, distrust, read_library
@@ -178,18 +179,8 @@ def _publish(library: Path, name: str) -> Path:
 def _written(content: bytes, folder: Path) -> Path:
     """Write a library under the name of its content and return its path."""
     _make_private(folder)
-    path = folder / f"{_content_hash(content)}.so"
-    handle, temporary = tempfile.mkstemp(prefix=".", dir=folder)
-    try:
-        with os.fdopen(handle, "wb") as file:
-            file.write(content)
-        os.chmod(temporary, 0o644)
-        os.replace(temporary, path)
-        read_library(path)  # the folder may belong to somebody else
-    except OSError:
-        with suppress(OSError):
-            os.unlink(temporary)
-        raise
+    path = write_atomic(folder / f"{_content_hash(content)}.so", content, force=True, mode=0o644)
+    read_library(path)  # the folder may belong to somebody else
     return path
 
 

@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from trimtab.host.base.parts import PartFile
 from trimtab.host.imports.airborne import airborne
 from trimtab.host.imports.plausible import consistent_parts
 from trimtab.host.imports.recording import Cut, Recording, corner_of
@@ -24,12 +25,12 @@ The vehicle was not weighed for this flight, so mass remains an alias of thrust.
 def write(
     recording: Recording,
     vehicle: Vehicle,
-    path: Path,
+    output: Path | PartFile,
     *,
     format: str,
     provenance: Mapping[str, str] | None = None,
 ) -> tuple[dict[str, int], tuple[Cut, ...]]:
-    """Write the log at `path`; return its number of messages by topic, and what was cut from its flights.
+    """Write the log to `output`; return its number of messages by topic, and what was cut from its flights.
 
     The tracking phase is the time in the air, with the landings between several flights left out. The vehicle
     gets the mass that the recording declares. `provenance` holds further entries for the log. Raises
@@ -44,7 +45,7 @@ def write(
     if r.epoch_us is not None:
         origin["epoch_us"] = str(r.epoch_us)
     counts = write_imported(
-        path,
+        output,
         vehicle=_as_declared(vehicle, r),
         mocap=Mocap(t_us=r.pose_us, t_arrival_us=r.pose_us, p=r.p_ned, q=r.q_ned_frd),
         inputs=_inputs(r, vehicle),

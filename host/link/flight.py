@@ -69,9 +69,8 @@ class FlightDirector(Director):
 
     def __init__(self, request: FlightRequest, on_phase: Callable[[str], None] | None = None) -> None:
         camera = CameraClock(request.camera_delay_us)
-        super().__init__(Session(self._script, camera, request.key), on_phase)
+        super().__init__(Session(self._script, camera, request.key), request, on_phase)
         self.identity: Identity | None = None
-        self._request = request
         self._swap = (
             None
             if request.then is None
@@ -91,6 +90,7 @@ class FlightDirector(Director):
 
     def _script(self, session: Session) -> Generator[Task, Any, FlightEnd]:
         request = self._request
+        self._reserve_log()
         identity: Identity = yield FindVehicle(request.port)
         self.identity = identity
         check_same_vehicle(identity, request.vehicle.id, what="the reference", port=request.port)
@@ -245,7 +245,7 @@ class FlightDirector(Director):
             channels += ROTOR_TOPICS
         if self.session.pose_timing is not None:
             channels += TIMING_TOPICS
-        self._log = LogWriter(request.log_path, provenance, channels)
+        self._log = LogWriter(self._reserve_log(), provenance, channels)
         self.log_open = True
         self._recorder = Recorder(
             self._log,

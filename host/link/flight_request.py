@@ -9,6 +9,7 @@ from pathlib import Path
 from trimtab.host.autopilot.doubt import Doubt
 from trimtab.host.autopilot.kinds import AutopilotKind
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import PartFile
 from trimtab.host.link.host_control import ControlStop, HostControl
 from trimtab.host.link.keys import StationKey
 from trimtab.host.link.swap import SwapEnd
@@ -26,6 +27,9 @@ class FlightRequest:
 
     Attributes
     ----------
+    log_path, log_part
+        Flight log to write, and the part that the caller has opened for it. Without one, the flight opens
+        its own before arming, and its log replaces an existing one.
     port, cameras
         Names of the vehicle's port and of the camera system in messages.
     upload
@@ -55,6 +59,7 @@ class FlightRequest:
     vehicle: Vehicle
     reference: Reference
     log_path: Path
+    log_part: PartFile | None = None
     feedforward: FeedForward | None = None
     port: str = "vehicle"
     cameras: str = "the camera system"

@@ -6,13 +6,12 @@ that a clock that was set back is noticed. Such a station could sign two message
 
 from __future__ import annotations
 
-import contextlib
 import os
 import secrets
 from dataclasses import dataclass
 from pathlib import Path
 
-from trimtab.host.base.artefacts import check_output, write_atomic
+from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import UsageError
 from trimtab.protocol.signing import KEY_BYTES, UNIT_US, SigningKey, key_text
 
@@ -34,22 +33,9 @@ def new_key(path: Path, force: bool = False) -> None:
 
     Raises UsageError if the file exists or cannot be written.
     """
-    target = check_output(path, force)
-    partial = target.with_name(f"{target.name}.{secrets.token_hex(4)}.part")
-    try:
-        handle = os.open(partial, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600)
-        with os.fdopen(handle, "w", encoding="ascii") as file:
-            file.write(key_text(secrets.token_bytes(KEY_BYTES)) + "\n")
-        if force:
-            os.replace(partial, target)
-            _used_path(target).unlink(missing_ok=True)
-        else:
-            os.link(partial, target)
-    except FileExistsError:
-        raise UsageError(f"{path}: exists; choose another name or add --force") from None
-    finally:
-        with contextlib.suppress(OSError):
-            partial.unlink(missing_ok=True)
+    write_atomic(path, key_text(secrets.token_bytes(KEY_BYTES)) + "\n", force, mode=0o600)
+    if force:
+        _used_path(path).unlink(missing_ok=True)
 
 
 def read_key(path: Path) -> StationKey:

@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 from trimtab.host.base.artefacts import content_id, write_atomic
+from trimtab.host.base.parts import PartFile
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import fly_lockstep
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.vehicle import vehicle_class
+
+TRUTH_SUFFIX = ".truth.json"
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -46,8 +50,10 @@ def fly_simulated(
 ) -> FlightResult:
     """Fly a simulated vehicle from below the reference's first node. Write its truth beside the log.
 
-    Raises the same errors as `fly_lockstep`. The truth is written also then, if the log was.
+    The request has the part of its log. Raises the same errors as `fly_lockstep`. The truth is written also
+    then, if the log was.
     """
+    assert request.log_part is not None
     first = request.reference.nodes_ned()[0].state
     world, options = simulation.world, simulation.plant_options
     simulated = vehicle_class().create(
@@ -62,7 +68,6 @@ def fly_simulated(
         start_yaw=request.reference.yaw_nodes()[0].yaw,
         key=None if request.key is None else request.key.key,
     )
-    before = _file_number(request.log_path)
     flown = simulated if request.autopilot is None else simulated.as_autopilot(request.autopilot.name)
     with closing(simulated):
         try:
@@ -70,17 +75,12 @@ def fly_simulated(
                 request, flown, realtime=simulation.realtime, on_phase=on_phase, on_late=on_late
             )
         finally:
-            if _file_number(request.log_path) not in (None, before):
-                _write_truth(request.log_path, simulated.truth())
+            write_truth(request.log_part, simulated.truth())
 
 
-def _file_number(path: Path) -> int | None:
-    """Return the inode of the file at `path`, or None if there is no file."""
-    return path.stat().st_ino if path.exists() else None
-
-
-def _write_truth(log: Path, truth: dict[str, object]) -> None:
-    """Write the sealed truth beside the log, with the log's id. Only checks open it."""
-    record = {**truth, "log": content_id(log.read_bytes())}
-    text = json.dumps(record, indent=2, sort_keys=True) + "\n"
-    write_atomic(log.with_name(log.name + ".truth.json"), text, force=True)
+def write_truth(log: PartFile, truth: Mapping[str, Any]) -> None:
+    """Write the sealed truth beside a log, with the log's id, if it was published. Only checks open it."""
+    if log.published:
+        record = {**truth, "log": content_id(log.content())}
+        text = json.dumps(record, indent=2, sort_keys=True) + "\n"
+        write_atomic(log.target.with_name(log.target.name + TRUTH_SUFFIX), text, force=True)

@@ -33,7 +33,7 @@ from trimtab.host.log.tracks import (
     Status,
     failsafe_name,
 )
-from trimtab.host.log.writer import LogWriter, partial_path
+from trimtab.host.log.writer import LogWriter
 
 __all__ = [
     "FAILSAFE_WORDS",
@@ -63,7 +63,6 @@ __all__ = [
     "failsafe_name",
     "is_same_flight",
     "log_parents",
-    "partial_path",
     "read_flight",
     "recover",
     "settings_json",

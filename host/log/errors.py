@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from trimtab.host.base.errors import TrimtabError
+from trimtab.host.base.parts import owner_of
 
 
 class LogError(TrimtabError):
@@ -29,7 +30,9 @@ class TooLittleData(TrimtabError, ValueError):
 
 
 def unreadable(path: Path, error: OSError) -> LogError:
-    """Return the error for a file that the system does not let read."""
+    """Return the error for a file that the system does not let read. It names another user whose file it is."""
+    if isinstance(error, PermissionError) and (owner := owner_of(path)) is not None:
+        return LogError(f"{path}: belongs to another user ({owner}); ask for the right to read it")
     kind = MissingLog if isinstance(error, FileNotFoundError | NotADirectoryError) else LogError
     return kind(f"{path}: cannot be read ({error.strerror or error}); check the path")
 

@@ -46,11 +46,12 @@ from trimtab.host.log.read_topics import (
     read_timing,
 )
 from trimtab.host.log.rebuilt import rebuilt_of
-from trimtab.host.log.scan import Entry, Scan, find_damaged, scan
+from trimtab.host.log.scan import Entry, Scan, scan
 from trimtab.host.log.tracks import (
     HostControl,
     failsafe_name,
 )
+from trimtab.host.log.unfinished import check_not_written, find_damaged
 from trimtab.host.vehicle import ConfigurationError, parse_vehicle
 from trimtab.protocol.blobs import FeedForward, Reference, blob_id
 from trimtab.protocol.generated import flight_pb2
@@ -96,10 +97,12 @@ def _garbage_kept() -> Iterator[None]:
 
 def scan_closed(path: Path) -> Scan:
     """Return all records of a closed log. Raises LogError, with the remedy, for a cut or foreign log."""
-    records = scan(find_damaged(path))
+    source = find_damaged(path)
+    records = scan(source)
     if records.is_foreign:
         raise foreign_log(records.path, NOT_OURS)
     if not records.whole:
+        check_not_written(source)
         raise LogError(
             f"{records.path}: ends early or is damaged ({records.damage}); "
             f"run `trimtab log recover {records.path}`"

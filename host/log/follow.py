@@ -7,22 +7,24 @@ from pathlib import Path
 from types import TracebackType
 from typing import Self, cast
 
+from trimtab.host.base.parts import PartState
 from trimtab.host.log.errors import LogError, unreadable
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.scan import Entry, Scan, take_grown
-from trimtab.host.log.writer import partial_path
+from trimtab.host.log.unfinished import unfinished_logs
 
 
 class LogFollower:
     """Messages of the log at `path` as its writer adds them, chunk by chunk. Close it at the end.
 
     `content` holds what was read so far, without the messages that `poll` returned. The log need not exist
-    yet. A log that is being written comes before a closed one of the same name.
+    yet. A log that is being written comes before what an interrupted writer left, and both come before a
+    closed log of the same name.
     """
 
     def __init__(self, path: Path) -> None:
         self.content = Scan(path=path, id="", size=0)
-        self._path = path
+        self._path = self._source = path
         self._file: RawIOBase | None = None
         self._rest = b""
         self._begun = False
@@ -39,15 +41,14 @@ class LogFollower:
         """
         try:
             if self._file is None:
-                partial = partial_path(self._path)
-                source = partial if partial.exists() else self._path
-                self._file = cast(RawIOBase, open(source, "rb", buffering=0))  # noqa: SIM115
+                self._source = _newest(self._path)
+                self._file = cast(RawIOBase, open(self._source, "rb", buffering=0))  # noqa: SIM115
             while grown := self._file.read(1 << 20):
                 self._take(grown)
         except FileNotFoundError:
             return []
         except OSError as error:
-            raise unreadable(self._path, error) from error
+            raise unreadable(self._source, error) from error
         messages, self.content.messages = self.content.messages, []
         return messages
 
@@ -74,3 +75,9 @@ class LogFollower:
         self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
     ) -> None:
         self.close()
+
+
+def _newest(path: Path) -> Path:
+    """Return the file to follow for the log `path`."""
+    parts = sorted(unfinished_logs(path), key=lambda part: part.state is not PartState.WRITING)
+    return parts[0].path if parts else path

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from trimtab.host.base.parts import PartFile
 from trimtab.host.log import topics
 from trimtab.host.log.display import PERIOD_US
 from trimtab.host.log.provenance import UNUSED, Provenance
@@ -22,7 +23,7 @@ _Row = tuple[int, int, str, Any]
 
 
 def write_imported(  # noqa: PLR0913 (one keyword for each topic)
-    path: Path,
+    output: Path | PartFile,
     *,
     vehicle: Vehicle,
     mocap: Mocap,
@@ -33,7 +34,7 @@ def write_imported(  # noqa: PLR0913 (one keyword for each topic)
     unused_us: Sequence[tuple[int, int]] = (),
     session: Mapping[str, str] | None = None,
 ) -> dict[str, int]:
-    """Write the log at `path`; return the number of messages of each topic.
+    """Write the log to `output`; return the number of messages of each topic.
 
     All times are non-negative us from the flight's first sample, on one clock. `tracking_us` is the interval
     that learning and tracing use; by default it spans all poses. `unused_us` holds the parts of it, in
@@ -56,7 +57,7 @@ def write_imported(  # noqa: PLR0913 (one keyword for each topic)
         metadata["input_level"] = inputs.level
     rows = [*_poses(mocap), *_inputs(inputs), *_imu(imu), *_battery(battery)]
     provenance = Provenance(vehicle=vehicle, kind="imported", session=metadata)
-    with LogWriter(path, provenance, topics.IMPORTED_TOPICS) as writer:
+    with LogWriter(output, provenance, topics.IMPORTED_TOPICS) as writer:
         if inputs is not None and inputs.p_ref is not None:
             writer.display.reference_path(0, inputs.p_ref[_every(PERIOD_US, inputs.t_us)].tolist())
         for log_us, publish_us, topic, message in sorted(rows, key=lambda row: row[0]):

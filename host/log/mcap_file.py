@@ -68,7 +68,7 @@ class McapFile:
     """An MCAP file that is being written to `sink`.
 
     Attachments must come before the first message. A full chunk is written in one piece. `counts` holds the
-    number of messages of each channel in the chunks written.
+    number of messages of each channel in the chunks written, `chunks` the number of chunks.
     """
 
     def __init__(self, sink: Sink, library: str = "trimtab") -> None:
@@ -78,6 +78,7 @@ class McapFile:
         self._chunk = bytearray()
         self._index: defaultdict[int, list[int]] = defaultdict(list)  # times and offsets in turn, by channel
         self.counts: dict[int, int] = {}
+        self.chunks = 0
         self._first_ns: int | None = None
         self._last_ns = 0
         self._compressor = zstandard.ZstdCompressor()
@@ -226,6 +227,7 @@ class McapFile:
             )
         )
         self._put(chunk + index)
+        self.chunks += 1
         self._first_ns = first if self._first_ns is None else min(first, self._first_ns)
         self._last_ns = max(last, self._last_ns)
         self._chunk = bytearray()

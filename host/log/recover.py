@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-import contextlib
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.artefacts import LOG_SUFFIX, open_atomic
+from trimtab.host.base.parts import SUFFIX as PART_SUFFIX
+from trimtab.host.base.parts import target_of
 from trimtab.host.log.errors import NOT_OURS, LogError, foreign_log
 from trimtab.host.log.file_time import NANOSECONDS, TIME_UNIT
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.mcap_file import McapFile
 from trimtab.host.log.provenance import PROVENANCE
-from trimtab.host.log.scan import Scan, find_damaged, scan
+from trimtab.host.log.scan import Scan, scan
+from trimtab.host.log.unfinished import check_not_written, find_damaged, unfinished_lines, unfinished_logs
 
 SUFFIX = ".recovered.mcap"
 
@@ -42,17 +45,22 @@ class Recovery:
 
 def default_output(path: Path) -> Path:
     """Return the default path of the recovered log: FLIGHT.recovered.mcap beside the damaged one."""
-    name = path.name.removesuffix(".part").removesuffix(".mcap")
-    return path.with_name(name + SUFFIX)
+    log = target_of(path)
+    number = "" if log == path else path.name.removeprefix(log.name).removesuffix(PART_SUFFIX)
+    return log.with_name(log.name.removesuffix(LOG_SUFFIX) + number + SUFFIX)
 
 
-def recover(path: Path, output: Path | None = None) -> Recovery:
+def recover(path: Path, output: Path | None = None, *, force: bool = False) -> Recovery:
     """Write every whole chunk of the file at `path`, with its provenance, to `output`.
 
     The file at `path` stays as it is. `output` appears whole or not at all. Raises LogError if the file has
-    no whole chunk, or if its chunks make no flight.
+    no whole chunk, if its chunks make no flight, or if it is still being written; UsageError if `output`
+    exists and `force` is not set.
     """
+    if path.is_dir() and (unfinished := unfinished_logs(path)):
+        raise LogError("; ".join([f"{path}: is a folder; give a log", *unfinished_lines(unfinished)]))
     source = find_damaged(path)
+    check_not_written(source)
     records = scan(source)
     if records.is_foreign:
         raise foreign_log(source, NOT_OURS)
@@ -65,7 +73,7 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
             )
         to_flight(records)
         target = output or default_output(source)
-        _write_atomic(records, target)
+        _write_atomic(records, target, force)
     return Recovery(
         source=source,
         output=target,
@@ -76,18 +84,13 @@ def recover(path: Path, output: Path | None = None) -> Recovery:
     )
 
 
-def _write_atomic(records: Scan, target: Path) -> None:
-    """Write the records to `target`, whole or not at all. Raises LogError."""
-    growing = target.with_name(target.name + ".recovering")
+def _write_atomic(records: Scan, target: Path, force: bool) -> None:
+    """Write the records to `target`, whole or not at all. Raises LogError and UsageError."""
     try:
-        with growing.open("wb") as stream:
+        with open_atomic(target, force) as stream:
             _write(records, McapFile(stream))
-        growing.replace(target)
     except OSError as error:
         raise LogError(f"{target}: cannot be written ({error.strerror}); give another -o") from error
-    finally:
-        with contextlib.suppress(OSError):
-            growing.unlink()
 
 
 def _write(records: Scan, writer: McapFile) -> None:

@@ -26,7 +26,6 @@ from trimtab.host.log.errors import LogError, foreign_log, unreadable
 from trimtab.host.log.file_time import file_units_per_us
 from trimtab.host.log.mcap_file import MAGIC
 from trimtab.host.log.provenance import PROVENANCE
-from trimtab.host.log.writer import partial_path
 
 _DAMAGE = (
     McapError,  # EndOfFile, InvalidMagic, RecordLengthLimitExceeded
@@ -84,12 +83,6 @@ class Scan:
         for message in self.messages:
             topics[names[message.channel_id]].append(message)
         return topics
-
-
-def find_damaged(path: Path) -> Path:
-    """Return `path`, or the unfinished file beside it if only that exists because the writer was killed."""
-    partial = partial_path(path)
-    return partial if not path.exists() and partial.exists() else path
 
 
 def scan(path: Path) -> Scan:

@@ -4,14 +4,13 @@ Times are integer microseconds on the host's clock from arm: a log starts when t
 arming. Messages that arrived or were measured before that are not logged, because the format has no negative
 times. The file holds them in nanoseconds.
 
-The file is written as `NAME.part` and renamed when it is closed. Every chunk is written as soon as it is
+The file is a part (`trimtab.host.base.parts`) until it is closed. Every chunk is written as soon as it is
 full, so a killed writer loses at most the last chunk. `trimtab.host.log.recover` reads the others.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from io import RawIOBase
 from pathlib import Path
 from types import TracebackType
 from typing import IO, Any, NamedTuple, Self, cast
@@ -19,6 +18,7 @@ from typing import IO, Any, NamedTuple, Self, cast
 from foxglove_schemas_protobuf.Log_pb2 import Log
 from mcap_protobuf.schema import build_file_descriptor_set
 
+from trimtab.host.base.parts import NameTaken, PartFile, open_only_part
 from trimtab.host.base.text import escaped, readable
 from trimtab.host.log import topics
 from trimtab.host.log.display import Display, stamp
@@ -38,22 +38,24 @@ from trimtab.host.log.topics import Topic
 from trimtab.protocol.generated import flight_pb2, rotors_pb2
 
 
-def partial_path(path: Path) -> Path:
-    """Return the path of the unfinished log that will become `path`."""
-    return path.with_name(path.name + ".part")
-
-
 class _Unbuffered:
     """An unbuffered file: a write has reached the operating system when it returns.
 
     After a failed write (LogError) every later write fails too, because nothing after half a record can be
-    read.
+    read. `mcap` is the file that is written to it, once that has begun. `all_or_nothing`: whether the file is
+    removed after an error.
     """
 
-    def __init__(self, raw: RawIOBase, path: Path) -> None:
+    def __init__(self, part: PartFile) -> None:
         self.failed: LogError | None = None
-        self._raw = raw
-        self._path = path
+        self.mcap: McapFile | None = None
+        self.all_or_nothing = False
+        self._part = part
+
+    @property
+    def recoverable(self) -> bool:
+        """Whether a part of what was written can be recovered: a whole chunk."""
+        return self.mcap is not None and self.mcap.chunks > 0 and not self.all_or_nothing
 
     def write(self, data: bytes, /) -> None:
         if self.failed is not None:
@@ -61,13 +63,18 @@ class _Unbuffered:
         view = memoryview(data)
         try:
             while view:
-                view = view[self._raw.write(view) or 0 :]
+                view = view[self._part.file.write(view) or 0 :]
         except OSError as error:
-            self.failed = LogError(
-                f"{self._path}: cannot be written any further ({error.strerror}); free disk space, "
-                f"then read the part written so far with `trimtab log recover {self._path}`"
-            )
+            self.failed = LogError(self._why(error))
             raise self.failed from error
+
+    def _why(self, error: OSError) -> str:
+        if not self.recoverable:
+            return f"{self._part.target}: cannot be written ({error.strerror}); free disk space and try again"
+        return (
+            f"{self._part.target}: cannot be written any further ({error.strerror}); free disk space, "
+            f"then read the part written so far with `trimtab log recover {self._part.path}`"
+        )
 
 
 class Stamps(NamedTuple):
@@ -79,10 +86,11 @@ class Stamps(NamedTuple):
 
 
 class LogWriter:
-    """Writer of one log to `output`, a path or a binary stream.
+    """Writer of one log to `output`: a path, a part that its owner publishes, or a binary stream.
 
-    Call `close` at the end. As a context manager, it removes the file if the block raises. Any method raises
-    LogError if the file cannot be written; the part written so far then stays under `NAME.part`.
+    At a path, the closed log replaces an existing file. Call `close` at the end. As a context manager, it
+    removes the file if the block raises. Any method raises LogError if the file cannot be written; the part
+    then stays if it holds anything that can be recovered.
 
     The methods named after topics take the stamps and then the topic's values. They return False if a time
     lies before arming. Message objects are reused. `display` writes what viewers draw.
@@ -90,26 +98,24 @@ class LogWriter:
 
     def __init__(
         self,
-        output: Path | IO[bytes],
+        output: Path | PartFile | IO[bytes],
         provenance: Provenance,
         channels: Sequence[Topic] = topics.FLIGHT_TOPICS,
     ) -> None:
-        self.path: Path | None = None
-        self._file: RawIOBase | None = None
+        self._part: PartFile | None = None
         self._sink: _Unbuffered | None = None
         self._closed = False
+        self._publishes = isinstance(output, Path)
         sink: Sink
-        if isinstance(output, Path):
-            try:
-                self._file = cast(RawIOBase, open(partial_path(output), "wb", buffering=0))  # noqa: SIM115
-            except OSError as error:
-                raise LogError(f"{output}: cannot be written ({error.strerror}); give another -o") from error
-            self.path = output
-            sink = self._sink = _Unbuffered(self._file, output)
+        if isinstance(output, Path | PartFile):
+            self._part = _opened(output) if isinstance(output, Path) else output
+            sink = self._sink = _Unbuffered(self._part)
         else:
             sink = output
         try:
             self._mcap = McapFile(sink)
+            if self._sink is not None:
+                self._sink.mcap = self._mcap
             self._write_provenance(provenance)
         except BaseException:
             self._discard()
@@ -263,19 +269,33 @@ class LogWriter:
         stamp(message.timestamp, publish_us)
         return self.write(topics.LOG, message, log_us, publish_us)
 
+    @property
+    def whole(self) -> bool:
+        """Whether the log was closed with everything in it."""
+        return self._closed and (self._sink is None or self._sink.failed is None)
+
     def close(self) -> None:
-        """Write index and footer and rename the file. Do nothing after a failed write or a second time."""
+        """Write index and footer; at a path, publish the file.
+
+        Do nothing more a second time, or after a failed write.
+        """
         if self._closed:
             return
         self._closed = True
-        if self._file is None or self._sink is None or self.path is None:
+        part, sink = self._part, self._sink
+        if part is None or sink is None:
             self._finish()
             return
-        with self._file:
-            if self._sink.failed is not None:
-                return
-            self._finish()
-        partial_path(self.path).replace(self.path)
+        try:
+            if sink.failed is None:
+                self._finish()
+                if self._publishes:
+                    publish_log(part)
+        finally:
+            if sink.failed is not None and not sink.recoverable:
+                part.discard()
+            elif self._publishes:
+                part.close()
 
     def _finish(self) -> None:
         self.display.finish()
@@ -284,11 +304,12 @@ class LogWriter:
     def _discard(self) -> None:
         """Remove the file. A stream stays as it is."""
         self._closed = True
-        if self._file is not None and self.path is not None:
-            self._file.close()
-            partial_path(self.path).unlink(missing_ok=True)
+        if self._part is not None:
+            self._part.discard()
 
     def __enter__(self) -> Self:
+        if self._sink is not None:
+            self._sink.all_or_nothing = True
         return self
 
     def __exit__(
@@ -320,3 +341,25 @@ def _foxglove_level(severity: int) -> Any:
     if severity == 4:
         return Log.WARNING
     return Log.INFO if severity <= 6 else Log.DEBUG
+
+
+def publish_log(part: PartFile) -> None:
+    """Give a whole log its name. Raises LogError if that cannot be done; the part then stays."""
+    try:
+        part.publish()
+    except NameTaken as error:
+        reason, cause = "another file has it now", error
+    except OSError as error:
+        reason, cause = str(error.strerror), error
+    else:
+        return
+    raise LogError(
+        f"{part.target}: the log cannot get this name ({reason}); it is whole in {part.path}, rename that"
+    ) from cause
+
+
+def _opened(path: Path) -> PartFile:
+    try:
+        return open_only_part(path, force=True)
+    except OSError as error:
+        raise LogError(f"{path}: cannot be written ({error.strerror}); give another -o") from error

@@ -14,7 +14,7 @@ from pydantic import Field
 
 from trimtab.host.base import artefacts, bounds
 from trimtab.host.base.errors import UsageError
-from trimtab.host.base.text import file_name
+from trimtab.host.base.text import file_name, readable
 from trimtab.host.models.model import Assessment, Covariance, Model, VerdictCode, network_digest
 from trimtab.host.models.network import Frame, Layout, Network
 from trimtab.host.models.region import Region
@@ -127,10 +127,12 @@ def write_model(model: Model, path: Path | str, *, force: bool = False) -> Path:
         provenance={key: value for key, value in model.provenance.items() if value is not None},
     )
     try:
-        if model.network is not None:
-            with artefacts.open_atomic(weights, force=True) as file:
-                np.savez(file, xi=model.network.xi)
-        return artefacts.write_atomic(path, write_toml(table), force)
+        with artefacts.open_atomic(path, force, alone=True) as file:
+            if model.network is not None:
+                with artefacts.open_atomic(weights, force=True) as arrays:
+                    np.savez(arrays, xi=model.network.xi)
+            file.write(readable(write_toml(table)).encode())
+        return path
     except OSError as error:
         raise ModelFileError(f"{path}: cannot be written: {error.strerror}") from error
 

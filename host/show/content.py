@@ -12,8 +12,10 @@ import numpy as np
 
 from trimtab.host.base.artefacts import LOG_SUFFIX
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import target_of
 from trimtab.host.link.blob_files import read_reference
-from trimtab.host.log import LogError, partial_path
+from trimtab.host.log import LogError
+from trimtab.host.log.unfinished import unfinished_logs
 from trimtab.host.models.file import SUFFIX as MODEL_SUFFIX
 from trimtab.host.models.file import read_model
 from trimtab.host.plan.files import SUFFIX as REFERENCE_SUFFIX
@@ -157,7 +159,7 @@ def _sorted(inputs: Sequence[Path]) -> _Files:
             files.models.append(path)
         elif path.suffix == REFERENCE_SUFFIX:
             files.references.append(path)
-        elif path.suffix in (LOG_SUFFIX, ".part"):
+        elif target_of(path).suffix == LOG_SUFFIX:
             files.logs.append(path)
         elif not path.exists():
             raise UsageError(f"{path}: no such file or folder; check the path")
@@ -170,9 +172,8 @@ def _sorted(inputs: Sequence[Path]) -> _Files:
 
 
 def _unfinished(folder: Path) -> list[Path]:
-    """Return the finished names of logs whose writer was killed."""
-    names = [path.with_name(path.name.removesuffix(".part")) for path in folder.glob(f"*{LOG_SUFFIX}.part")]
-    return [name for name in names if partial_path(name).exists()]
+    """Return the logs of a folder that are not closed."""
+    return [part.path for part in unfinished_logs(folder)]
 
 
 def _read_logs(files: _Files) -> tuple[list[tuple[Path, ShownFlight]], list[str]]:

@@ -13,9 +13,10 @@ from trimtab.host.log.errors import NOT_OURS, foreign_log
 from trimtab.host.log.events import Event, read_events
 from trimtab.host.log.flight import to_flight
 from trimtab.host.log.provenance import PROVENANCE, VEHICLE_FILE, is_simulated
-from trimtab.host.log.scan import find_damaged, scan
+from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at, tracking_errors_ned, within
 from trimtab.host.log.tracks import FAILSAFE_WORDS, Floats, Times
+from trimtab.host.log.unfinished import find_damaged
 from trimtab.host.show.lattice import Track, attitudes, euler_deg, lattice, peaks, sampled, wrapped_deg
 
 UP = np.array([1.0, 1.0, -1.0])

@@ -13,18 +13,25 @@ command = App(name="log", help="Describe, recover, export or view a flight log."
 
 @command.command
 def info(log: Path, *, json: Json = False) -> None:
-    """Describe a log.
+    """Describe a log, or list those of a folder.
 
     Parameters
     ----------
     log
-        Flight log to read.
+        Flight log to read, or a folder with logs.
     """
     from trimtab.host.base.output import emit, say
     from trimtab.host.log import read_flight, to_lines
+    from trimtab.host.log.listing import list_logs, listing_lines
+    from trimtab.host.log.unfinished import unfinished_lines, unfinished_logs
 
+    if log.is_dir():
+        listing = list_logs(log)
+        say(*listing_lines(listing))
+        emit(listing, json)
+        return
     description = read_flight(log).to_dict()
-    say(*to_lines(description))
+    say(*to_lines(description), *unfinished_lines(unfinished_logs(log)))
     emit(description, json)
 
 
@@ -43,11 +50,12 @@ def recover(log: Path, *, output: Output = None, force: Force = False, json: Jso
     from trimtab.host.base.output import emit, say
     from trimtab.host.log import recover as recover_log
     from trimtab.host.log.recover import default_output
+    from trimtab.host.log.unfinished import unfinished_lines, unfinished_logs
 
     target = artefacts.check_output(output or default_output(log), force)
-    recovery = recover_log(log, target)
+    recovery = recover_log(log, target, force=force)
     if recovery.output is None:
-        say(f"{recovery.source} is undamaged, nothing to recover")
+        say(f"{recovery.source} is undamaged, nothing to recover", *unfinished_lines(unfinished_logs(log)))
     else:
         messages = f"{recovery.messages} messages, {recovery.duration_s:.2f} s"
         say(f"{recovery.output}: {messages} ({recovery.damage})")

@@ -96,16 +96,12 @@ class _Flights:
         from trimtab.host.verbs.demo import free_folder
 
         arguments = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
-        session = {
-            "version": task.provenance["version"],
-            "git": task.provenance["git"],
-            "command": artefacts.public_command(arguments),
-        }
         self._field = Airfield(
             vehicle=task.vehicle,
             world=world,
             world_seed=options.world_seed,
-            session={key: value for key, value in session.items() if value is not None},
+            session=artefacts.log_provenance(arguments),
+            force=options.force,
         )
         self._field.check()
         folder = options.output or Path(f"{task.route.name}-pareto")
@@ -114,7 +110,6 @@ class _Flights:
 
     def __call__(self, point: Point) -> Flown:
         """Fly the point's plan; write its reference and log."""
-        from trimtab.host.base import artefacts
         from trimtab.host.plan.files import write_plan
         from trimtab.host.plan.flown import fly_plan
 
@@ -124,7 +119,7 @@ class _Flights:
         name = point.label.replace("*", "-augmented").replace(" x ", "-x")
         reference = self.folder / f"{name}.ref"
         write_plan(point.plan, reference, provenance=self._task.provenance, force=self._force)
-        log = artefacts.check_log(self.folder / f"{name}.mcap", self._force)
+        log = self.folder / f"{name}.mcap"
         return fly_plan(point.plan, self._field, flight=0, log=log, model_id=self._task.model.id)
 
 

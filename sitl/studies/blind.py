@@ -13,9 +13,9 @@ from pathlib import Path
 from tempfile import gettempdir
 from typing import Any
 
-from trimtab.host.base.artefacts import CHANGED, git_state, version
 from trimtab.host.base.output import say
 from trimtab.host.base.pieces import OnProgress, alone_in, claim
+from trimtab.host.base.program import CHANGED, git_state, version
 from trimtab.host.base.shards import Shard, ShardDone
 from trimtab.host.base.workers import process_pool
 from trimtab.host.vehicle import load_vehicle

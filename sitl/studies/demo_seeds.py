@@ -18,6 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.sitl.studies.commandline import run_apart
+from trimtab.sitl.studies.files import write_json
 
 DRAGS = {"linear-drag", "quadratic-drag"}
 
@@ -104,9 +105,7 @@ def main() -> None:
         "applied_ratio_median_with_drag": median([r for r in judged if r["drag"]], "applied_ratio"),
         "seconds_median": median(judged, "seconds"),
     }
-    (out / "table.json").write_text(
-        json.dumps({"commit": commit, "rows": rows, "summary": summary}, indent=1)
-    )
+    write_json(out / "table.json", {"commit": commit, "rows": rows, "summary": summary})
     print(json.dumps(summary))
 
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import hashlib
 import json
-import os
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+from trimtab.host.base.artefacts import write_atomic
 from trimtab.host.base.errors import TrimtabError
 
 
@@ -25,13 +25,8 @@ class SealBroken(StudyError):
 
 
 def write_whole(path: Path, content: bytes) -> None:
-    """Write a complete file, or leave the old one unchanged."""
-    partial = path.with_name(f"{path.name}.{os.getpid()}.part")
-    with partial.open("wb") as file:
-        file.write(content)
-        file.flush()
-        os.fsync(file.fileno())
-    os.replace(partial, path)
+    """Write a complete file that a power cut does not harm, or leave the old one unchanged."""
+    write_atomic(path, content, force=True, durable=True)
 
 
 def write_json(path: Path, content: Mapping[str, Any]) -> None:

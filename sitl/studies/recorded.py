@@ -11,7 +11,7 @@ from typing import Annotated, Any
 
 from pydantic import Field, model_validator
 
-from trimtab.host.base.artefacts import git_state, version
+from trimtab.host.base.program import git_state, version
 from trimtab.host.base.workers import process_pool
 from trimtab.host.vehicle.strict_toml import Strict, read_strict
 from trimtab.sitl.studies.commandline import Answer, run_apart

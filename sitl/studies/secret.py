@@ -7,11 +7,14 @@ worlds after a look at results, and everybody can draw them again.
 from __future__ import annotations
 
 import hashlib
-import os
 import re
 import secrets
+from contextlib import suppress
 from pathlib import Path
 
+from trimtab.host.base.artefacts import write_atomic
+from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import NameTaken
 from trimtab.sitl.studies.files import StudyError
 
 _BYTES = 32
@@ -24,10 +27,10 @@ def read_secret(path: Path) -> str:
     """
     try:
         if not path.exists():
-            with os.fdopen(os.open(path, os.O_WRONLY | os.O_CREAT | os.O_EXCL, 0o600), "w") as file:
-                file.write(f"{secrets.token_hex(_BYTES)}\n")
+            with suppress(NameTaken):  # another process has made it meanwhile
+                write_atomic(path, f"{secrets.token_hex(_BYTES)}\n", mode=0o600)
         text = path.read_text(encoding="utf-8").strip()
-    except (OSError, UnicodeDecodeError) as error:
+    except (OSError, UnicodeDecodeError, UsageError) as error:
         raise StudyError(f"--secret {path}: cannot be read or made ({error}); give another file") from None
     if not re.fullmatch(r"[0-9a-f]{64}", text):
         raise StudyError(f"--secret {path}: holds no 64 hex digits; give another file, or a new name")

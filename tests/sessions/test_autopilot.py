@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from contextlib import closing
 from pathlib import Path
 from typing import Any
 
@@ -12,6 +13,7 @@ import pytest
 from trimtab.host.autopilot.doubt import Doubt
 from trimtab.host.autopilot.kinds import ARDUPILOT, KINDS, PX4, AutopilotKind
 from trimtab.host.base.errors import FlightFailed, LinkError, Refused, TrimtabError, UsageError
+from trimtab.host.base.parts import NameTaken, open_only_part
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, FlightInterrupted, fly_lockstep
 from trimtab.host.link.summary import FlightResult
@@ -457,10 +459,20 @@ def test_interrupt_while_arming(stream: Any, monkeypatch: pytest.MonkeyPatch) ->
     disarmed(stream)
 
 
-def test_log_that_cannot_be_opened(stream: Any, tmp_path: Path) -> None:
-    with pytest.raises(LogError, match="cannot be written"):
-        stream(log_path=tmp_path / "missing" / "x.mcap")
+def test_log_that_has_no_folder_is_refused_before_arming(stream: Any, tmp_path: Path) -> None:
+    refused(stream, UsageError, "its folder does not exist", log_path=tmp_path / "missing" / "x.mcap")
+
+
+def test_log_that_another_process_writes_is_refused_before_arming(stream: Any, tmp_path: Path) -> None:
+    with closing(open_only_part(tmp_path / "x.mcap")):
+        refused(stream, NameTaken, "another process is writing it", log_path=tmp_path / "x.mcap")
+
+
+def test_log_that_cannot_be_begun_disarms(stream: Any, full_disk: Any, tmp_path: Path) -> None:
+    with full_disk(0), pytest.raises(LogError, match=r"x\.mcap: cannot be written \(.*try again"):
+        stream(log_path=tmp_path / "x.mcap")
     disarmed(stream)
+    assert not list(tmp_path.iterdir())
 
 
 def test_pilot_who_changes_the_mode_before_arming_is_obeyed(stream: Any) -> None:

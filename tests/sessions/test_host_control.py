@@ -17,6 +17,7 @@ from tests.rate_controller import RateController
 from trimtab.firmware_model.flight.flight import Flight as Firmware
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, Target
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import part_path
 from trimtab.host.control.interface import SolveStatus
 from trimtab.host.link.control_stream import HOLD_US, LEAD_US
 from trimtab.host.link.drivers import run_lockstep
@@ -25,7 +26,7 @@ from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded
 from trimtab.host.link.host_control import HostControl
 from trimtab.host.link.summary import FlightResult
-from trimtab.host.log import Flight, partial_path, read_flight, recover, topics
+from trimtab.host.log import Flight, read_flight, recover, topics
 from trimtab.host.log.export import csv_tables
 from trimtab.host.log.scan import scan
 from trimtab.host.log.tracking import reference_at, tracking_error
@@ -365,7 +366,7 @@ def test_recovered_log_has_the_tracking_phase_up_to_its_end(
 ) -> None:
     whole = steered[0].log.read_bytes()
     cut = tmp_path / "cut.mcap"
-    partial_path(cut).write_bytes(whole[: round(0.6 * len(whole))])
+    part_path(cut).write_bytes(whole[: round(0.6 * len(whole))])
     recovery = recover(cut)
     assert recovery.output is not None
     flight = read_flight(recovery.output)

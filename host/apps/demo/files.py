@@ -31,7 +31,7 @@ class DemoFiles:
 
     def log(self, number: int, planned: Planned) -> Path:
         """Return the path of a flight's log. Raises UsageError if the file exists and `force` is off."""
-        return artefacts.check_log(self.folder / f"{number:02d}-{planned.name}.mcap", self.force)
+        return artefacts.check_output(self.folder / f"{number:02d}-{planned.name}.mcap", self.force)
 
     def write_plan(self, planned: Planned, model: Model | None = None) -> None:
         """Write a plan's reference. model: the one that it was planned with, beyond the nominal vehicle."""
@@ -52,7 +52,5 @@ class DemoFiles:
 
     def session(self) -> dict[str, str]:
         """Return what the logs contain about the session."""
-        known = self.provenance()
-        return {
-            key: str(known[key]) for key in ("version", "git", "command", "seed") if known[key] is not None
-        }
+        words = ["demo", "--vehicle", self.vehicle.name]
+        return {**artefacts.log_provenance(words), "seed": str(self.seed)}

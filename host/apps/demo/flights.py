@@ -5,7 +5,6 @@ A flight depends only on reference, feed-forward and flight index, not on earlie
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from concurrent.futures import FIRST_COMPLETED, Future, ThreadPoolExecutor, wait
 from contextlib import closing
@@ -20,25 +19,29 @@ from trimtab.host.base.errors import FlightFailed
 from trimtab.host.link.flight_request import FlightRequest
 from trimtab.host.link.fly import FlightEnded, fly_lockstep
 from trimtab.host.link.host_control import HostControl
+from trimtab.host.link.simulated import write_truth
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.link.upload import UploadResult, upload_port
 from trimtab.host.link.vehicle import vehicle_class
 from trimtab.host.vehicle import Vehicle
 from trimtab.protocol.blobs import Blob, FeedForward, Reference
 
-TRUTH_SUFFIX = ".truth.json"
 WORLD = "drawn-several"
 """World with two or three effects, drawn from the seed."""
 
 
 @dataclass(frozen=True, kw_only=True)
 class Airfield:
-    """Simulated site of flights: vehicle, name and seed of the world, and session entries for the logs."""
+    """Simulated site of flights: vehicle, name and seed of the world, and session entries for the logs.
+
+    force: whether a log replaces an existing one.
+    """
 
     vehicle: Vehicle
     world: str
     world_seed: int
     session: Mapping[str, str]
+    force: bool = True
 
     def simulator(self) -> Any:
         """Return the class of the simulated vehicles."""
@@ -106,26 +109,26 @@ class Airfield:
 
         Raises FlightFailed if the flight ends in failsafe or early; the log is readable in that case too.
         """
-        request = FlightRequest(
-            vehicle=self.vehicle,
-            reference=reference,
-            feedforward=feedforward,
-            log_path=log,
-            port="simulated vehicle",
-            upload=upload,
-            parameters=parameters,
-            model_id=model_id,
-            control=control,
-            session={**self.session, "flight": str(flight)},
-        )
-        before = _file_number(log)
-        try:
-            return fly_lockstep(request, simulated)
-        except FlightEnded as ended:
-            raise FlightFailed(f"flight {flight}: {ended}") from ended
-        finally:
-            if _file_number(log) not in (None, before):
-                _seal(simulated.truth(), log)
+        with closing(artefacts.reserve_log(log, self.force)) as part:
+            request = FlightRequest(
+                vehicle=self.vehicle,
+                reference=reference,
+                feedforward=feedforward,
+                log_path=log,
+                log_part=part,
+                port="simulated vehicle",
+                upload=upload,
+                parameters=parameters,
+                model_id=model_id,
+                control=control,
+                session={**self.session, "flight": str(flight)},
+            )
+            try:
+                return fly_lockstep(request, simulated)
+            except FlightEnded as ended:
+                raise FlightFailed(f"flight {flight}: {ended}") from ended
+            finally:
+                write_truth(part, simulated.truth())
 
 
 def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
@@ -146,15 +149,3 @@ def upload_through_pty(simulated: Any, blob: Blob) -> tuple[str, UploadResult]:
             stop.set()
     served.result()
     return address.result(), result
-
-
-def _file_number(path: Path) -> int | None:
-    """Return the inode of the file at `path`, or None if there is no file."""
-    return path.stat().st_ino if path.exists() else None
-
-
-def _seal(truth: Mapping[str, Any], log: Path) -> None:
-    """Write the world's truth beside the log, with the log's id. Only checks open it."""
-    record = {**truth, "log": artefacts.content_id(log.read_bytes())}
-    text = json.dumps(record, indent=2, sort_keys=True) + "\n"
-    artefacts.write_atomic(log.with_name(log.name + TRUTH_SUFFIX), text, force=True)

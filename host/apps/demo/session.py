@@ -135,6 +135,7 @@ class _Demo:
             world=request.world,
             world_seed=world_seed(request.seed),
             session=self._files.session(),
+            force=request.force,
         )
         self._flights = 0
         self._later: list[Flight] = []

@@ -9,8 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from trimtab.host.apps.demo.files import JSON_NAME
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.effects import Effect
+from trimtab.host.link.simulated import TRUTH_SUFFIX
 
 
 @dataclass(frozen=True, kw_only=True)

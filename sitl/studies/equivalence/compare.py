@@ -15,10 +15,10 @@ from typing import Any
 IGNORED_KEYS = frozenset(
     {
         *("seconds", "solve_s", "trace_s", "wall_s", "cpu_s", "realtime_factor"),
-        *("git", "version", "command", "sources", "log_id", "data"),
+        *("git", "version", "program_id", "command", "sources", "log_id", "data"),
     }
 )
-"""Keys that differ between two runs of the same code, name the commit, or hash a file that names it."""
+"""Keys that differ between two runs of the same code, name the program, or hash a file that names it."""
 
 IGNORED_PATH = re.compile(r"\.model\.toml\.id$")
 """Ids of traced models, which depend on the hashes of the effects' source files."""

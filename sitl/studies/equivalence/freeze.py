@@ -18,6 +18,7 @@ from trimtab.host.log.provenance import PROVENANCE
 from trimtab.host.log.scan import scan
 from trimtab.protocol import blobs
 from trimtab.sitl.studies.equivalence.inputs import REAL_GROUPS, TraceCase, make_worlds, world_cases
+from trimtab.sitl.studies.files import write_json, write_whole
 
 DEMO_SEEDS = (1, 2, 3, 4, 5)
 ROUTES = (
@@ -36,8 +37,8 @@ PLAN_KINDS = ("min-snap", "min-control", "min-control*", "min-control-r", "min-r
 SEALED_LOGS = (("a1", "a2", "b1", "b2"), ("c1",))
 PARTS = ("demo", "sealed", "real", "plans", "flights", "worlds")
 
-_ORIGIN_KEYS = frozenset({"version", "git", "command"})
-"""Metadata about the commit that wrote a file."""
+_ORIGIN_KEYS = frozenset({"version", "git", "program_id", "command"})
+"""Metadata about the program that wrote a file."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -69,10 +70,7 @@ class Setup:
         if path.is_file():
             return
         path.parent.mkdir(parents=True, exist_ok=True)
-        content = json.dumps(make(), indent=1, sort_keys=True)
-        partial_path = path.with_suffix(".part")
-        partial_path.write_text(content, encoding="utf-8")
-        partial_path.replace(path)
+        write_json(path, make())
 
 
 def log_digest(path: Path) -> dict[str, str]:
@@ -213,7 +211,7 @@ def _prepare(setup: Setup) -> None:
         logs = [str(setup.repository / "tests" / "data" / f"{log}.mcap") for log in SEALED_LOGS[0]]
         with tempfile.TemporaryDirectory() as name:
             setup.run(["trace", *logs, "--no-network", "-o", "out"], Path(name))
-            model.write_bytes((Path(name) / "out" / "trace.model.toml").read_bytes())
+            write_whole(model, (Path(name) / "out" / "trace.model.toml").read_bytes())
     if not reference.is_file():
         setup.run(["plan", "figure-eight", "-o", str(reference)], setup.inputs)
 

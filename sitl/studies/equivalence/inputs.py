@@ -9,6 +9,7 @@ from concurrent.futures import Executor
 from dataclasses import dataclass
 from pathlib import Path
 
+from trimtab.sitl.studies.files import write_json
 from trimtab.sitl.studies.flights import BLIND, fly_and_seal, plan_references
 from trimtab.sitl.studies.scoring.world import library
 from trimtab.sitl.studies.thin import copier_of, plan_thin_references, programme_of
@@ -73,7 +74,7 @@ def _make_world(folder: Path, references: Path, world: PlannedWorld) -> None:
     for log in sorted((flown / "flights").glob("*.mcap")):
         copier_of(world.case)(log, target / log.name)
     case = {"logs": programme.logs(programme.learning), "held_out": programme.logs(programme.held_out)}
-    (target / CASE_FILE).write_text(json.dumps(case), encoding="utf-8")
+    write_json(target / CASE_FILE, case)
     shutil.rmtree(flown)
 
 

@@ -94,7 +94,7 @@ class LogTarget(_InFolder):
         path = self.folder / "flight.mcap"
         path.write_bytes(data)
         self.read(lambda: read_flight(path), LogError)
-        self.read(lambda: recover(path, self.folder / "again.mcap"), LogError)
+        self.read(lambda: recover(path, self.folder / "again.mcap", force=True), LogError)
 
 
 def logs(target: LogTarget, rng: Random, source: Source) -> bytes:

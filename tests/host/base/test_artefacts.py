@@ -17,13 +17,12 @@ import pytest
 from trimtab.host import cli
 from trimtab.host.base.artefacts import (
     check_folder,
-    check_log,
     check_output,
     content_id,
-    git_state,
     open_atomic,
     provenance,
     public_command,
+    reserve_log,
     without_options,
     write_atomic,
 )
@@ -98,7 +97,7 @@ def read_only() -> Iterator[Path]:
 
 
 def test_output_in_a_read_only_folder_is_refused_before_the_work(read_only: Path) -> None:
-    for check in (check_output, check_log, lambda path: check_folder(path, ())):
+    for check in (check_output, reserve_log, lambda path: check_folder(path, ())):
         with pytest.raises(UsageError, match=r"a\.mcap: its folder cannot be written to; choose another"):
             check(read_only / "a.mcap")
 
@@ -175,16 +174,6 @@ def test_provenance_has_no_time_and_no_path(tmp_path: Path) -> None:
     assert record == provenance(
         seed=4, parents={"vehicle": "0123456789ab"}, argv=["plan", str(tmp_path / "r.toml")]
     )
-
-
-def test_git_state_names_the_commit(require: Callable[[str], None]) -> None:
-    require("git")
-    state = git_state()
-    if not (Path(__file__).parents[3] / ".git").exists():
-        assert state is None
-    else:
-        assert state is not None
-        assert len(state.removesuffix("-dirty")) == 12
 
 
 def test_folder_is_checked_without_being_made(tmp_path: Path) -> None:

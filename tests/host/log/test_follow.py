@@ -2,14 +2,16 @@
 
 from __future__ import annotations
 
+from contextlib import closing
 from pathlib import Path
 
 import pytest
 
+from trimtab.host.base.artefacts import reserve_log
+from trimtab.host.base.parts import part_path
 from trimtab.host.log import LogError
 from trimtab.host.log.follow import LogFollower
 from trimtab.host.log.scan import Entry, scan
-from trimtab.host.log.writer import partial_path
 
 
 @pytest.mark.parametrize("step", [1000, 40_000, 10_000_000])
@@ -18,14 +20,14 @@ def test_follower_returns_every_message_once_as_the_file_grows(
 ) -> None:
     target = tmp_path / "growing.mcap"
     messages: list[Entry] = []
-    with LogFollower(target) as follower, partial_path(target).open("wb", buffering=0) as file:
+    with LogFollower(target) as follower, part_path(target).open("wb", buffering=0) as file:
         assert follower.poll() == []
         for start in range(0, len(log_bytes), step):
             assert not follower.ended
             file.write(log_bytes[start : start + step])
             messages += follower.poll()
         assert follower.ended
-        partial_path(target).replace(target)
+        part_path(target).replace(target)
         assert follower.poll() == []
     whole = scan(log_path)
     assert messages == whole.messages
@@ -38,7 +40,7 @@ def test_follower_waits_for_a_log_and_prefers_the_one_being_written(
 ) -> None:
     with LogFollower(tmp_path / "none.mcap") as follower:
         assert (follower.poll(), follower.ended) == ([], False)
-    partial_path(log_path).write_bytes(log_bytes[: len(log_bytes) // 2])
+    part_path(log_path).write_bytes(log_bytes[: len(log_bytes) // 2])
     with LogFollower(log_path) as follower:
         assert 0 < len(follower.poll()) < len(scan(log_path).messages)
         assert not follower.ended
@@ -52,3 +54,25 @@ def test_follower_of_a_damaged_or_foreign_file_says_so(tmp_path: Path, log_bytes
     path.write_bytes(damaged)
     with LogFollower(path) as follower, pytest.raises(LogError, match=r"x\.mcap"):
         follower.poll()
+
+
+def test_follower_takes_the_part_that_is_written_not_what_an_interrupted_flight_left(
+    tmp_path: Path, log_bytes: bytes
+) -> None:
+    target = tmp_path / "a.mcap"
+    part_path(target).write_bytes(log_bytes[: len(log_bytes) // 2])
+    with closing(reserve_log(target, force=True)) as part, LogFollower(target) as follower:
+        part.file.write(log_bytes)
+        follower.poll()
+        assert follower.ended
+
+
+def test_follower_waits_while_a_reserved_log_is_empty(tmp_path: Path, log_bytes: bytes) -> None:
+    target = tmp_path / "a.mcap"
+    with LogFollower(target) as follower:
+        with closing(reserve_log(target)):
+            assert follower.poll() == []
+        with closing(reserve_log(target)) as part:  # the next start, after one that came to nothing
+            part.file.write(log_bytes)
+            follower.poll()
+        assert follower.ended

@@ -7,7 +7,7 @@ import signal
 import subprocess
 import sys
 from collections.abc import Callable
-from contextlib import AbstractContextManager
+from contextlib import AbstractContextManager, closing
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +15,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from trimtab.host.log import LogError, LogWriter, Provenance, partial_path, read_flight, recover
+from trimtab.host.base.artefacts import reserve_log
+from trimtab.host.base.errors import UsageError
+from trimtab.host.base.parts import part_path
+from trimtab.host.log import LogError, LogWriter, Provenance, read_flight, recover
 from trimtab.host.log.writer import Stamps
 
 KILLED_WRITER = """
@@ -104,7 +107,7 @@ def test_recover_killed_writer_leaves_what_it_had_written(tmp_path: Path) -> Non
     done = subprocess.run([sys.executable, "-c", KILLED_WRITER, str(path)], check=False)
     assert done.returncode == -signal.SIGKILL
     assert not path.exists()
-    assert partial_path(path).exists()
+    assert part_path(path).exists()
     with pytest.raises(LogError, match=r"trimtab log recover .*killed\.mcap\.part"):
         read_flight(path)
     found = recover(path)
@@ -116,10 +119,36 @@ def test_recover_killed_writer_leaves_what_it_had_written(tmp_path: Path) -> Non
     assert 2700 <= len(mocap) < 3000
 
 
+def test_log_that_is_still_written_is_not_recovered(
+    tmp_path: Path, provenance: Provenance, log_bytes: bytes
+) -> None:
+    path = tmp_path / "a.mcap"
+    with closing(reserve_log(path)) as part:
+        part.file.write(log_bytes[: len(log_bytes) // 2])
+        for act in (read_flight, recover):
+            with pytest.raises(
+                LogError, match=r"a\.mcap\.part: is being written; .*`trimtab watch .*a\.mcap`"
+            ):
+                act(path)
+    assert recover(path).output == tmp_path / "a.recovered.mcap"
+
+
+def test_recover_of_two_interrupted_logs_names_both(tmp_path: Path, log_bytes: bytes) -> None:
+    path = tmp_path / "a.mcap"
+    for number in (1, 2):
+        part_path(path, number).write_bytes(log_bytes[: len(log_bytes) // (number + 1)])
+    with pytest.raises(LogError, match=r"2 unfinished logs; give one of .*a\.mcap\.2\.part, .*a\.mcap\.part"):
+        recover(path)
+    with pytest.raises(LogError, match=r"is a folder; give a log; .*a\.mcap\.2\.part .*was interrupted"):
+        recover(tmp_path)
+    outputs = [recover(part_path(path, number)).output for number in (1, 2)]
+    assert outputs == [tmp_path / "a.recovered.mcap", tmp_path / "a.2.recovered.mcap"]
+
+
 def test_recover_into_a_folder_that_is_not_there_is_refused(tmp_path: Path, log_bytes: bytes) -> None:
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(log_bytes[:-40])
-    with pytest.raises(LogError, match="cannot be written"):
+    with pytest.raises(UsageError, match="its folder does not exist"):
         recover(cut, tmp_path / "no" / "x.mcap")
     assert [path.name for path in tmp_path.iterdir()] == ["cut.mcap"]
 
@@ -127,11 +156,11 @@ def test_recover_into_a_folder_that_is_not_there_is_refused(tmp_path: Path, log_
 def test_recover_onto_the_name_of_the_log_keeps_what_it_reads(tmp_path: Path, log_bytes: bytes) -> None:
     path = tmp_path / "cut.mcap"
     cut = log_bytes[: len(log_bytes) // 2]
-    partial_path(path).write_bytes(cut)
+    part_path(path).write_bytes(cut)
     found = recover(path, path)
     assert found.output == path
     assert read_flight(path).mocap is not None
-    assert partial_path(path).read_bytes() == cut
+    assert part_path(path).read_bytes() == cut
     assert sorted(entry.name for entry in tmp_path.iterdir()) == ["cut.mcap", "cut.mcap.part"]
 
 

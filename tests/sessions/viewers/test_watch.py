@@ -17,12 +17,12 @@ from typing import Any
 
 import pytest
 
+from trimtab.host.base.parts import part_path
 from trimtab.host.link.summary import FlightResult
 from trimtab.host.log import Flight
 from trimtab.host.log.follow import LogFollower
 from trimtab.host.log.scan import Scan
 from trimtab.host.log.tracking import tracking_error
-from trimtab.host.log.writer import partial_path
 from trimtab.host.watch.server import HOST, ViewerServer
 from trimtab.host.watch.watch import watch
 
@@ -38,7 +38,7 @@ def test_figures_grow_with_the_log_and_end_as_the_flight_did(
     pieces = iter([log[k : k + 50_000] for k in range(0, len(log), 50_000)])
 
     def write_more() -> None:
-        with partial_path(target).open("ab") as file:
+        with part_path(target).open("ab") as file:
             file.write(next(pieces))
 
     def note(figures: dict[str, Any], looks: int) -> None:

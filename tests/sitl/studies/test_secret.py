@@ -13,8 +13,8 @@ from typing import Any
 
 import pytest
 
-from trimtab.host.base.artefacts import CHANGED
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.program import CHANGED
 from trimtab.host.base.shards import Shard, ShardDone
 from trimtab.sitl.studies import blind, commandline, flights
 from trimtab.sitl.studies.commandline import bare_environment, run_apart

@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.paper.controllers.models import Site
 from trimtab.host.apps.paper.controllers.table import (
     BASELINE,
@@ -27,6 +26,7 @@ from trimtab.host.control.interface import ControlStep, RateCommand, StateEstima
 from trimtab.host.control.settings import MpcSettings
 from trimtab.host.link.controllers import flown_by
 from trimtab.host.link.host_control import FlownBy
+from trimtab.host.link.simulated import TRUTH_SUFFIX
 from trimtab.host.models.correction import correction
 from trimtab.host.models.model import Model
 from trimtab.host.plan import Plan, Settings, plan

@@ -9,8 +9,9 @@ from pathlib import Path
 
 import pytest
 
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX, Airfield, upload_through_pty
+from trimtab.host.apps.demo.flights import Airfield, upload_through_pty
 from trimtab.host.base.errors import FlightFailed, UsageError
+from trimtab.host.link.simulated import TRUTH_SUFFIX
 from trimtab.host.log import read_flight
 from trimtab.host.vehicle import ConfigurationError
 from trimtab.protocol.blobs import Reference

@@ -22,13 +22,14 @@ from mcap.reader import make_reader
 
 from tests.browser import ask, draws, fits, printed
 from trimtab.host.apps.demo.files import JSON_NAME, MODEL_NAME, REPORT_NAME, TRUTH_PAGE, DemoFiles
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX, WORLD, Airfield
+from trimtab.host.apps.demo.flights import WORLD, Airfield
 from trimtab.host.apps.demo.routes import DemoRoutes
 from trimtab.host.apps.demo.seeds import host_seed, world_seed
 from trimtab.host.apps.demo.session import DemoRequest, Outcome, run_demo
 from trimtab.host.base.artefacts import content_id
 from trimtab.host.base.workers import workers
 from trimtab.host.effects import load_effects
+from trimtab.host.link.simulated import TRUTH_SUFFIX
 from trimtab.host.log import read_flight
 from trimtab.host.models.file import read_model
 from trimtab.host.trace.answer import to_json

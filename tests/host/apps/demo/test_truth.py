@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from trimtab.host.apps.demo.files import JSON_NAME
-from trimtab.host.apps.demo.flights import TRUTH_SUFFIX
 from trimtab.host.apps.demo.truth import Judgement, judge, judgement_words, open_truth
 from trimtab.host.effects import load_effects
+from trimtab.host.link.simulated import TRUTH_SUFFIX
 from trimtab.host.report.truth import page
 
 EFFECTS = load_effects()
