@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import fcntl
 import hashlib
 import json
 import os
@@ -20,6 +21,7 @@ from trimtab.host.base.parts import (
     NameTaken,
     PartFile,
     exists,
+    is_at,
     open_only_part,
     open_part,
     remove_interrupted,
@@ -80,21 +82,64 @@ def reserve_log(path: str | Path, force: bool = False) -> PartFile:
 def check_folder(path: str | Path, names: Sequence[str], force: bool = False) -> Path:
     """Check that files `names` can be written in the folder `path`, and return it.
 
-    Makes no folder: the caller makes those that are missing. Raises UsageError if they cannot be made, if the
-    path or a folder above it is a file, or if a name exists and `force` is not set.
+    Makes no folder: the caller makes those that are missing. Raises UsageError if they cannot be made, or if
+    a folder above it is a file; NameTaken if it is a file, or if a name exists and `force` is not set.
     """
     folder = Path(path)
     if folder.is_dir():
         for name in names:
             check_output(folder / name, force)
     elif folder.exists():
-        raise UsageError(f"{path}: is a file; give a folder")
+        raise NameTaken(f"{path}: is a file; give a folder")
     else:
         above = next(parent for parent in folder.parents if parent.exists())
         if not above.is_dir():
             raise UsageError(f"{path}: {above} is a file; choose another folder")
         _check_writable(path, above)
     return folder
+
+
+@contextlib.contextmanager
+def own_folder(path: str | Path, force: bool = False) -> Iterator[Path]:
+    """Yield a folder in which no other process writes during the block, and which is empty unless `force`.
+
+    It is made if missing, and then removed again if the block leaves it empty. Raises NameTaken if another
+    process writes in it, or if it holds files and `force` is not set; UsageError like `check_folder`.
+    """
+    folder = check_folder(path, ())
+    existed = folder.is_dir()
+    handle = _locked_folder(folder)
+    try:
+        if any(folder.iterdir()) and not force:
+            raise NameTaken(f"{path}: is not empty; choose another folder or add --force")
+        yield folder
+    finally:
+        if not existed:
+            with contextlib.suppress(OSError):  # it holds files
+                folder.rmdir()
+        os.close(handle)
+
+
+def _locked_folder(folder: Path) -> int:
+    """Make, open and lock a folder. Return its file descriptor. Raises NameTaken if it is locked."""
+    while True:
+        folder.mkdir(parents=True, exist_ok=True)
+        try:
+            handle = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
+        except FileNotFoundError:  # another process removed it, as it had written nothing
+            continue
+        try:
+            fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+        except BlockingIOError:
+            os.close(handle)
+            raise NameTaken(
+                f"{folder}: another process writes in this folder; wait until it has ended or choose another"
+            ) from None
+        except OSError:  # a file system without locks
+            return handle
+        if is_at(handle, folder):
+            return handle
+        os.close(handle)
 
 
 def check_new_folder(path: str | Path) -> Path:

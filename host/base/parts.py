@@ -63,7 +63,7 @@ class PartFile:
     published
         Whether the file has its final name.
     is_only
-        Whether it is the only part. If it may replace a file, it also replaces the interrupted parts.
+        Whether it is the only part. If it may replace a file, it also replaces this user's interrupted parts.
     """
 
     def __init__(self, target: Path, path: Path, file: FileIO, *, force: bool) -> None:
@@ -138,8 +138,8 @@ def open_part(target: Path, *, force: bool = False, mode: int = 0o666) -> PartFi
 def open_only_part(target: Path, *, force: bool = False) -> PartFile:
     """Open a new part of `target` unless another process is writing one. This reserves the name.
 
-    force: whether it may replace the file `target` and what interrupted processes left of it. Raises
-    NameTaken, or OSError with the name `target`.
+    force: whether it may replace the file `target` and what interrupted processes of this user left of it.
+    Raises NameTaken, or OSError with the name `target`.
     """
     remove_interrupted(target, only_empty=True)
     others = unfinished(target)
@@ -200,16 +200,19 @@ def look(path: Path) -> Unfinished | None:
 
 
 def remove_interrupted(target: Path, *, only_empty: bool = False) -> None:
-    """Remove the parts of `target` whose writer was interrupted; `only_empty`: those that hold nothing."""
+    """Remove this user's parts of `target` whose writer was interrupted.
+
+    only_empty: only those that hold nothing.
+    """
     for each in unfinished(target):
-        if each.state is not PartState.INTERRUPTED:
+        if each.state is not PartState.INTERRUPTED or each.owner is not None:
             continue
         with contextlib.suppress(OSError):
             handle = os.open(each.path, _LOOK)
             try:
                 fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
                 empty = os.fstat(handle).st_size == 0
-                if _is_at(handle, each.path) and (empty or not only_empty):
+                if is_at(handle, each.path) and (empty or not only_empty):
                     os.unlink(each.path)
             finally:
                 os.close(handle)
@@ -230,12 +233,12 @@ def _created(target: Path, path: Path, *, force: bool = False, mode: int = 0o666
             raise
         with contextlib.suppress(OSError):  # a file system without locks
             fcntl.flock(handle, fcntl.LOCK_EX)  # others hold it for a moment only, while they look
-        if _is_at(handle, path):
+        if is_at(handle, path):
             return PartFile(target, path, FileIO(handle, "r+"), force=force)
         os.close(handle)  # it was removed before it was locked, since it looked interrupted
 
 
-def _is_at(handle: int, path: Path) -> bool:
+def is_at(handle: int, path: Path) -> bool:
     """Return whether an open file is the one at `path`."""
     try:
         return os.path.samestat(os.fstat(handle), os.lstat(path))

@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import TypeVar
 
 from trimtab.host.base.artefacts import write_atomic
-from trimtab.host.base.errors import TrimtabError
+from trimtab.host.base.errors import TrimtabError, UsageError
 from trimtab.host.base.text import readable
 from trimtab.host.base.trust import UntrustedError, distrust, read_library
 from trimtab.host.codegen.compiler import CodegenError, Compiler, flags, processor, run_compiler, warn_once
@@ -170,7 +170,7 @@ def _publish(library: Path, name: str) -> Path:
     content = library.read_bytes()
     try:
         return _written(content, cache_directory() / name)
-    except (OSError, UntrustedError) as error:
+    except (OSError, UsageError) as error:  # UsageError: it vanished meanwhile, or others can change it
         _warn_of_cache(error.reason if isinstance(error, UntrustedError) else str(error))
         _uncached[name] = [_written(content, _temporary() / name)]
         return _uncached[name][0]

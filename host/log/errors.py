@@ -30,7 +30,7 @@ class TooLittleData(TrimtabError, ValueError):
 
 
 def unreadable(path: Path, error: OSError) -> LogError:
-    """Return the error for a file that the system does not let read. It names another user whose file it is."""
+    """Return the error for a file that the system does not let read. It names an owner who is another."""
     if isinstance(error, PermissionError) and (owner := owner_of(path)) is not None:
         return LogError(f"{path}: belongs to another user ({owner}); ask for the right to read it")
     kind = MissingLog if isinstance(error, FileNotFoundError | NotADirectoryError) else LogError

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import ExitStack, contextmanager
+from itertools import count
 from pathlib import Path
 
 from trimtab.host.verbs.options import Force, Json, Output, Trust, VehicleName, WorkspaceFolder
@@ -47,10 +50,9 @@ def command(
         raise UsageError(f"--seed {seed} is negative; give 0 or more")
     space = open_workspace(workspace, trusted=trust)
     airframe = space.vehicle(vehicle)
-    folder = free_folder(space.root, output, force)
     jobs, world = cores(), world or WORLD
     field = Airfield(vehicle=airframe, world=world, world_seed=world_seed(seed), session={})
-    with workers(jobs) as pool:
+    with free_folder(space.root, output, force) as folder, workers(jobs) as pool:
         for _ in range(jobs if jobs > 1 else 0):  # they start up while this one imports the rest and plans
             pool.submit(field.check)
         from trimtab.host.api.trace import flyable
@@ -78,18 +80,24 @@ def command(
         raise outcome.failure
 
 
-def free_folder(root: Path, output: Path | None, force: bool) -> Path:
-    """Return a folder that is empty or does not exist yet; with `force`, any. Raises UsageError."""
-    from trimtab.host.base import artefacts
-    from trimtab.host.base.errors import UsageError
+@contextmanager
+def free_folder(root: Path, output: Path | None, force: bool) -> Iterator[Path]:
+    """Yield `output`, or the next free folder in `root`, in which only this process writes.
 
-    if output is None:
-        output, number = root / FOLDER, 1
-        while output.exists() and not force:
-            number += 1
-            output = root / f"{FOLDER}-{number}"
-    if output.exists() and not output.is_dir():
-        raise UsageError(f"{output}: is a file; give a folder")
-    if output.is_dir() and any(output.iterdir()) and not force:
-        raise UsageError(f"{output}: is not empty; choose another folder or add --force")
-    return artefacts.check_folder(output, (), force)
+    With `force`, it may hold files. Raises UsageError.
+    """
+    from trimtab.host.base.artefacts import own_folder
+    from trimtab.host.base.parts import NameTaken
+
+    with ExitStack() as stack:
+        if output is not None or force:
+            yield stack.enter_context(own_folder(output or root / FOLDER, force))
+            return
+        for number in count(1):
+            name = FOLDER if number == 1 else f"{FOLDER}-{number}"
+            try:
+                folder = stack.enter_context(own_folder(root / name))
+            except NameTaken:
+                continue
+            yield folder
+            return

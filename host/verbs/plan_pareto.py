@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from contextlib import ExitStack
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -46,9 +47,10 @@ def trade(task: PlanTask, options: PlanOptions) -> None:
 
     assert task.model is not None
     count = len(FACTORS) + 2
-    fly = None if options.world is None else _Flights(task, options, options.world)
     flown: list[Flown | None] = []
-    with Progress(f"planning {task.route.name}") as progress:
+    with ExitStack() as stack:
+        fly = None if options.world is None else _Flights(task, options, options.world, stack)
+        progress = stack.enter_context(Progress(f"planning {task.route.name}"))
 
         def on_point(point: Point) -> None:
             """Fly the point's plan at once, so that the points take about the same time."""
@@ -87,13 +89,15 @@ def trade(task: PlanTask, options: PlanOptions) -> None:
 class _Flights:
     """Simulated flights of the points. All have the same world and flight index; only the plan differs."""
 
-    def __init__(self, task: PlanTask, options: PlanOptions, world: str) -> None:
-        """Check the world (ConfigurationError if it is unknown) and the folder (UsageError)."""
+    def __init__(self, task: PlanTask, options: PlanOptions, world: str, stack: ExitStack) -> None:
+        """Check the world (ConfigurationError if it is unknown) and reserve the folder (UsageError).
+
+        stack: ends the reservation.
+        """
         import sys
 
         from trimtab.host.apps.demo.flights import Airfield
         from trimtab.host.base import artefacts
-        from trimtab.host.verbs.demo import free_folder
 
         arguments = artefacts.without_options(sys.argv[1:], _LEFT_OUT_WITH_VALUE, _LEFT_OUT)
         self._field = Airfield(
@@ -105,7 +109,7 @@ class _Flights:
         )
         self._field.check()
         folder = options.output or Path(f"{task.route.name}-pareto")
-        self.folder = free_folder(folder.parent, folder, options.force)
+        self.folder = stack.enter_context(artefacts.own_folder(folder, options.force))
         self._task, self._force = task, options.force
 
     def __call__(self, point: Point) -> Flown:
@@ -115,7 +119,6 @@ class _Flights:
 
         assert point.plan is not None
         assert self._task.model is not None
-        self.folder.mkdir(parents=True, exist_ok=True)
         name = point.label.replace("*", "-augmented").replace(" x ", "-x")
         reference = self.folder / f"{name}.ref"
         write_plan(point.plan, reference, provenance=self._task.provenance, force=self._force)

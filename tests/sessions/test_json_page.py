@@ -33,6 +33,7 @@ from trimtab.host.apps.paper.planning.compare import CLOSED_FORM, KINDS, NETWORK
 from trimtab.host.apps.paper.planning.summary import summary as planning_summary
 from trimtab.host.apps.paper.tuning.summary import summary as tuning_summary
 from trimtab.host.apps.paper.tuning.table import QUICK
+from trimtab.host.base.parts import part_path
 from trimtab.host.compare.prediction import Drift
 from trimtab.host.link.download import Download
 from trimtab.host.link.upload import UploadResult
@@ -194,6 +195,8 @@ def test_log_prints_what_the_page_says(
     check("log recover", trimtab("log", "recover", log))
     (tmp_path / "cut.mcap").write_bytes((tmp_path / log).read_bytes()[:200_000])
     check("log recover", trimtab("log", "recover", "cut.mcap"))
+    part_path(tmp_path / log).write_bytes((tmp_path / log).read_bytes()[:200_000])
+    check("log info FOLDER", trimtab("log", "info", "."))
 
 
 def test_show_prints_what_the_page_says(

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import pwd
 import re
 import shutil
 import signal
@@ -124,6 +125,25 @@ def test_fly_over_what_a_killed_flight_left_is_refused_unless_forced(
     assert left.read_bytes() == b"mine"
     assert trimtab("fly", ref, "-o", "x.mcap", "--force")[0] == 0
     assert not left.exists()
+
+
+def test_fly_beside_the_part_of_another_user_names_the_user_and_leaves_it(
+    trimtab: Any, ref: str, tmp_path: Path
+) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give files to another user")
+    part = tmp_path / "eight-0.mcap.part"
+    part.write_bytes(b"of a killed flight")
+    os.chown(part, 1, 1)
+    user = pwd.getpwuid(1).pw_name
+    assert trimtab("fly", ref, "--json")[1]["log"] == "eight-1.mcap"
+    code, _, complaint = trimtab("fly", ref, "-o", "eight-0.mcap")
+    refusal = f"eight-0.mcap.part: belongs to another user ({user}); choose another name"
+    assert (code, complaint.splitlines()) == (2, [f"trimtab: {refusal}"])
+    assert trimtab("fly", ref, "-o", "eight-0.mcap", "--force")[0] == 0
+    assert part.read_bytes() == b"of a killed flight"
+    (listed,) = trimtab("log", "info", ".", "--json")[1]["unfinished"]
+    assert (listed["part"], listed["owner"]) == ("eight-0.mcap.part", user)
 
 
 @pytest.mark.parametrize("option", ["--world-seed", "--world_seed"])

@@ -10,14 +10,14 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Iterator
-from contextlib import closing
+from contextlib import closing, suppress
 from multiprocessing.synchronize import Barrier
 from pathlib import Path
 
 import pytest
 
 from trimtab.host.base import parts
-from trimtab.host.base.artefacts import open_atomic, reserve_log, write_atomic, write_recorded
+from trimtab.host.base.artefacts import open_atomic, own_folder, reserve_log, write_atomic, write_recorded
 from trimtab.host.base.errors import UsageError
 from trimtab.host.base.parts import (
     NameTaken,
@@ -205,6 +205,18 @@ def test_part_of_another_user_is_one_clear_line(open_folder: Path) -> None:
     assert names(open_folder) == ["a.mcap.part"]
 
 
+def test_interrupted_part_of_another_user_is_not_removed(tmp_path: Path) -> None:
+    if os.geteuid() != 0:
+        pytest.skip("only root can give files to another user")
+    for target in (tmp_path / "a.mcap", tmp_path / "a.html"):
+        os.chown(killed_writer(target), NOBODY, NOBODY)
+    with closing(reserve_log(tmp_path / "a.mcap", force=True)) as part:
+        part.file.write(b"whole")
+        part.publish()
+    write_atomic(tmp_path / "a.html", "whole")
+    assert names(tmp_path) == ["a.html", "a.html.part", "a.mcap", "a.mcap.part"]
+
+
 def test_record_and_artefact_are_of_the_same_process(tmp_path: Path) -> None:
     target = tmp_path / "a.ref"
     with open_atomic(target, alone=True) as file:
@@ -241,3 +253,39 @@ def test_processes_that_reserve_at_once_get_a_name_each(tmp_path: Path) -> None:
     logs = [(tmp_path / f"flight-{number}.mcap").read_text() for number in range(count * rounds)]
     assert len(list(tmp_path.iterdir())) == count * rounds
     assert {pid: logs.count(pid) for pid in set(logs)} == {str(p.pid): rounds for p in processes}
+
+
+def _write_in(folder: Path, start: Barrier) -> None:
+    """Write the number of this process to two files of a folder that it has for itself, if it gets it."""
+    start.wait()
+    with suppress(NameTaken), own_folder(folder) as own:
+        for name in ("a", "b"):
+            write_atomic(own / name, f"{os.getpid()}")
+
+
+def test_folder_that_processes_ask_for_at_once_is_written_by_one(tmp_path: Path) -> None:
+    context, count = multiprocessing.get_context("fork"), 4
+    for turn in range(20):
+        start, folder = context.Barrier(count), tmp_path / f"{turn}"
+        processes = [context.Process(target=_write_in, args=(folder, start)) for _ in range(count)]
+        for process in processes:
+            process.start()
+        for process in processes:
+            process.join()
+        assert [process.exitcode for process in processes] == [0] * count
+        assert len({path.read_text() for path in folder.iterdir()}) == 1
+
+
+def test_folder_in_use_is_refused_and_an_empty_one_goes(tmp_path: Path) -> None:
+    with own_folder(tmp_path / "out") as folder:
+        for force in (False, True):
+            with (
+                pytest.raises(NameTaken, match="out: another process writes in this folder"),
+                own_folder(folder, force),
+            ):
+                pass
+    assert names(tmp_path) == []
+    (tmp_path / "out").mkdir()
+    with own_folder(tmp_path / "out"):
+        pass
+    assert names(tmp_path) == ["out"]

@@ -49,8 +49,13 @@ def test_demo_without_a_folder_takes_the_next_free_name(
 ) -> None:
     (tmp_path / "trimtab-demo").mkdir()
     (tmp_path / "trimtab-demo" / "demo.html").write_text("an earlier one")
-    assert free_folder(tmp_path, None, force=False) == tmp_path / "trimtab-demo-2"
-    assert free_folder(tmp_path, None, force=True) == tmp_path / "trimtab-demo"
+    with free_folder(tmp_path, None, force=True) as folder:
+        assert folder == tmp_path / "trimtab-demo"
+    with (
+        free_folder(tmp_path, None, force=False) as folder,
+        free_folder(tmp_path, None, force=False) as beside,
+    ):
+        assert (folder.name, beside.name) == ("trimtab-demo-2", "trimtab-demo-3")
     assert cli.main(["demo", "--world", "nowhere"]) == 2
     assert capsys.readouterr().out == ""
     assert [path.name for path in tmp_path.iterdir()] == ["trimtab-demo"]
