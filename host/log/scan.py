@@ -130,6 +130,21 @@ def scan(path: Path) -> Scan:
     return result
 
 
+def holds_chunk(path: Path) -> bool:
+    """Return whether a file holds a whole chunk; without one, nothing can be recovered. Raises OSError."""
+    size = path.stat().st_size
+    with path.open("rb") as file:
+        if file.read(len(MAGIC)) != MAGIC:
+            return False
+        while len(head := file.read(_RECORD.size)) == _RECORD.size:
+            opcode, length = _RECORD.unpack(head)
+            end = file.tell() + length
+            if opcode == Opcode.CHUNK or end > size:
+                return end <= size
+            file.seek(end)
+    return False
+
+
 def _without_message_indexes(content: bytes) -> bytes:
     """Return the file without its message indexes, which are not used and take long to parse."""
     parts, start, size = [], 0, len(content)

@@ -9,6 +9,7 @@ from typing import Any
 from trimtab.host.base.artefacts import LOG_SUFFIX
 from trimtab.host.base.parts import PartState, Unfinished, look, unfinished, unfinished_in
 from trimtab.host.log.errors import LogError
+from trimtab.host.log.scan import holds_chunk
 
 
 def unfinished_logs(path: Path) -> list[Unfinished]:
@@ -44,18 +45,30 @@ def check_not_written(path: Path) -> None:
 
 def unfinished_lines(parts: Sequence[Unfinished]) -> list[str]:
     """Return a line of text for each unfinished log."""
-    remedy = {
-        PartState.WRITING: "is being written",
-        PartState.INTERRUPTED: "was interrupted; run `trimtab log recover {}`",
-        PartState.UNKNOWN: "is not closed; run `trimtab log recover {}` if nothing writes it",
-    }
     lines = []
     for part in parts:
         owner = "" if part.owner is None else f", of another user ({part.owner})"
-        lines.append(
-            f"{part.path}  {part.size / 1024:.0f} KiB{owner}  {remedy[part.state].format(part.path)}"
-        )
+        lines.append(f"{part.path}  {part.size / 1024:.0f} KiB{owner}  {_what_to_do(part)}")
     return lines
+
+
+def _what_to_do(part: Unfinished) -> str:
+    """Return the state of an unfinished log and the remedy, in words."""
+    if part.state is PartState.WRITING:
+        return "is being written"
+    if part.state is PartState.UNKNOWN:
+        return f"is not closed; run `trimtab log recover {part.path}` if nothing writes it"
+    if _recoverable(part) is False:
+        return "was interrupted before its first chunk; nothing can be recovered, remove it"
+    return f"was interrupted; run `trimtab log recover {part.path}`"
+
+
+def _recoverable(part: Unfinished) -> bool | None:
+    """Return whether an unfinished log holds anything that can be recovered; None if it cannot be read."""
+    try:
+        return holds_chunk(part.path)
+    except OSError:
+        return None
 
 
 def to_json(part: Unfinished) -> dict[str, Any]:
@@ -66,6 +79,7 @@ def to_json(part: Unfinished) -> dict[str, Any]:
         "bytes": part.size,
         "state": part.state.name.lower(),
         "owner": part.owner,
+        "recoverable": _recoverable(part),
     }
 
 
