@@ -244,3 +244,20 @@ def test_cache_and_folder_of_the_process_that_vanish_are_made_anew(
     assert _three(compiler) == 3
     assert len(list(cache.rglob("*.so"))) == 1
     assert capsys.readouterr().err == ""
+
+
+def test_folder_of_a_key_that_vanishes_while_it_is_written_compiles_for_this_run(
+    cache, counted, monkeypatch, capsys
+):
+    compiler, _ = counted
+    make = module._make_private
+
+    def vanish(folder):
+        make(folder)
+        if folder.parent == cache:
+            folder.rmdir()
+
+    monkeypatch.setattr(module, "_make_private", vanish)
+    assert _three(compiler) == 3
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("trimtab: no cache of compiled code")
