@@ -63,9 +63,10 @@ _BEHIND = """
 - "In place" is where the reference stops. A vehicle that is pushed away from there returns when the push
   ends. The distance is the acceleration of the push over POS_P, with the default 0.17 m for each m/s^2.
 - "Level descent" keeps attitude and sink rate by dead reckoning, not position. Its velocity is that of the
-  accelerometer, less the bias that the poses showed before. From a height it sinks at up to {fast:g} m/s, and
-  at `FS_SINK_SPEED` from {slow:g} m above the floor. After `FS_BLIND_S` it relies on thrust alone, sinks
-  faster, and stops the rotors at the latest `FS_BLIND_END_S` later.
+  accelerometer, less the bias that the poses showed before. Poses that come back are not used. From a height
+  the vehicle sinks at up to {fast:g} m/s, and at `FS_SINK_SPEED` from {slow:g} m above the floor. After
+  `FS_BLIND_S` it relies on thrust alone, sinks faster, and stops the rotors at the latest `FS_BLIND_END_S`
+  later.
 - A level descent ends when the floor carries the vehicle, that is, when the force exceeds, by a step, what
   thrust has produced so far in the descent. Before `FS_BLIND_S` this counts only below a dead-reckoned height
   of {near:g} m, plus {drift:g} m for each second since the last pose: higher up, it is air.

@@ -190,15 +190,16 @@ class ConditionMonitor:
         lasting = zip(_TIMED, since_us, self._timeouts_us, strict=True)
         return [row for row, start_us, timeout_us in lasting if now_us - start_us > timeout_us]
 
-    def update_touchdown(self, now_us: int, *, height: float, speed: float, reference_below: bool) -> bool:
+    def update_touchdown(
+        self, now_us: int, *, height: float, speed: float, reference_below: bool, carried: bool
+    ) -> bool:
         """Update the detection of touchdown by height (m) and speed (m/s); return whether it has happened.
 
-        reference_below: whether the reference is more than 5 cm below the vehicle.
+        reference_below: whether the reference is more than 5 cm below the vehicle. carried: whether the force
+        exceeds the thrust. A vehicle that turns from a climb to a descent is slow as well, but not carried.
         """
-        stopped = self._touch_lasted(
-            now_us, reference_below and height < self._land_height and speed < self._stop_speed
-        )
-        return stopped or height < FLOOR_HEIGHT
+        stopped = reference_below and carried and height < self._land_height and speed < self._stop_speed
+        return self._touch_lasted(now_us, stopped) or height < FLOOR_HEIGHT
 
     def update_thrust_ratio(self, *, force: float, thrust: float, share: float = _FLIGHT_GAIN) -> None:
         """Update the thrust ratio from force and thrust over mass (m/s^2, up) in level flight.
@@ -207,6 +208,10 @@ class ConditionMonitor:
         """
         ratio = min(max(force / max(thrust, 1.0), 0.5), 2.0)
         self.thrust_ratio += share * (ratio - self.thrust_ratio)
+
+    def excess(self, force: float, thrust: float) -> float:
+        """Return how far force exceeds thrust over mass (m/s^2, up), by the thrust ratio."""
+        return force - self.thrust_ratio * thrust
 
     def update_support(
         self,
@@ -228,7 +233,7 @@ class ConditionMonitor:
         longer.
         """
         bound = min(max(0.5 * expected_excess, TOUCH_FORCE), TOUCH_FORCE_MAX)
-        touching = near and force - self.thrust_ratio * thrust > bound
+        touching = near and self.excess(force, thrust) > bound
         if learn and not touching:
             self.update_thrust_ratio(force=force, thrust=thrust, share=_DESCENT_GAIN)
         return self._touch_lasted(now_us, touching, TOUCH_US if stopped else SURE_TOUCH_US)

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight.condition_monitor import (
     LEVEL,
+    TOUCH_FORCE,
     ConditionMonitor,
     Observation,
     fence,
@@ -208,8 +209,11 @@ class Flight:
             self._phases.follow(now_us)
 
     def pose(self, time_us: int, p: Sequence[float], q: Sequence[float], now_us: int) -> bool:
-        """Queue a pose (NED; q_ned_frd, w first) measured at `time_us`; return False if it is rejected."""
-        if self.state is State.BOOT:
+        """Queue a pose (NED; q_ned_frd, w first) measured at `time_us`; return False if it is rejected.
+
+        A level descent rejects every pose: after a gap, a few of them would upset the dead reckoning.
+        """
+        if self.state is State.BOOT or self.action is Action.LEVEL_DESCENT:
             return False
         clash = self._estimate.clash
         known = clash.found
@@ -499,6 +503,7 @@ class Flight:
             height=self.height_m,
             speed=math.hypot(memory[3], memory[4], memory[5]),
             reference_below=self.outputs["reference"][2] > memory[2] + 0.05,
+            carried=self.monitor.excess(self._lift, self._phases.lagged_thrust) > TOUCH_FORCE,
         )
 
     def _take_pose(self, now_us: int) -> bool:

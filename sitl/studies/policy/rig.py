@@ -91,11 +91,9 @@ class _History:
     vector: object = None
     values: dict[str, float] = field(default_factory=dict)
     poses_true: bool = True
-    pose_us: int = -1
     attitude: bool = False
     released: bool = False
     blind: bool = False
-    poses_returned: bool = False
     overturned: bool = False
 
 
@@ -237,7 +235,6 @@ class Rig:
             attitude=last.attitude,
             released=last.released,
             blind=last.blind,
-            poses_returned=last.poses_returned,
             overturned=last.overturned,
             impact_m_s=math.hypot(*last.v) if touched else None,
             sinking_m_s=abs(last.v[2]) if touched else 0.0,
@@ -254,13 +251,11 @@ class Rig:
             if each.event is Event.ARM:
                 wrong_us = max(cameras.wrong_us, cameras.misplaced_us)
                 last.poses_true = self.now_us - wrong_us > _WRONG_BEFORE_US
-                last.released = last.blind = last.poses_returned = last.overturned = last.attitude = False
+                last.released = last.blind = last.overturned = last.attitude = False
             elif each.event in _RELEASES and each.before in FLYING:
                 last.released = True
         if cameras.offset is not None and self.now_us - cameras.wrong_us < _WRONG_BEFORE_US:
             last.poses_true = False
-        last.poses_returned |= last.blind and flight.poses.newest_us > last.pose_us
-        last.pose_us = flight.poses.newest_us
         last.blind |= flight.action is Action.LEVEL_DESCENT
         last.overturned |= flight.outputs["cos_tilt"][0] < _COS_OVERTURNED
         last.released |= flight.action is Action.MOTORS_OFF

@@ -84,7 +84,7 @@ def test_pose_in_the_air_is_used_within_its_bounds(make_rig, name, value, north_
 def test_touchdown_follows_its_height_and_speed(name, landed):
     monitor = ConditionMonitor(ParameterValues({**DEFAULTS, **({} if name is None else {name: 0.06})}))
     monitor.start(1_000_000)
-    signs = {"height": 0.1, "speed": 0.1, "reference_below": True}
+    signs = {"height": 0.1, "speed": 0.1, "reference_below": True, "carried": True}
     monitor.update_touchdown(1_100_000, **signs)
     assert monitor.update_touchdown(1_350_000, **signs) is landed
 

@@ -128,6 +128,38 @@ def test_level_descent_ends_on_the_floor_where_thrust_is_worth_more_or_less_belo
     landed_softly(rig)
 
 
+def test_level_descent_rejects_the_poses_that_come_back(make_rig):
+    rig = make_rig(reference=False)
+    rig.standby()
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 2.0) is None
+    rig.run(20.0, until=State.HOLD)
+    rig.mocap = False
+    rig.run(2.0, until=State.FAILSAFE)
+    rig.mocap = True
+    assert not rig.flight.pose(rig.now_us, rig.body.p, rig.body.quaternion(), rig.now_us)
+    on_the_floor(rig)
+    landed_softly(rig)
+    rig.run(0.1)
+    assert rig.flight.pose(rig.now_us, rig.body.p, rig.body.quaternion(), rig.now_us)
+
+
+def test_landing_commanded_in_a_climb_near_the_floor_ends_on_the_floor(make_rig, make_body):
+    """At the top of the climb the vehicle is low and slow, with the reference below it, but not carried."""
+    rig = make_rig(
+        body=make_body(gain=1.08), reference=False, parameters={"LAND_SPEED": 0.1, "LAND_STOP_SPEED": 0.3}
+    )
+    rig.standby()
+    assert rig.flight.handle_event(Event.ARM, rig.now_us) is None
+    assert rig.flight.handle_event(Event.TAKEOFF, rig.now_us, 1.0) is None
+    while rig.body.p[2] > -0.12:
+        rig.run(0.01)
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
+    while rig.flight.rotors_on:
+        rig.run(0.01)
+    assert rig.body.p[2] > -FLOOR_HEIGHT - 0.01
+
+
 def test_level_descent_that_touches_as_velocity_is_given_up_is_noticed(make_rig):
     rig = make_rig(reference=False)
     rig.standby()

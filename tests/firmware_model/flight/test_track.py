@@ -171,7 +171,7 @@ def test_level_descent_that_is_too_short_to_sink_fast_is_slow_throughout():
     t = level_descent(
         (0.0, 0.0, -6.0), (0.0,) * 3, 0.0, floor=0.0, speed=0.7, damped_us=1_000_000, end_us=4_000_000
     )
-    assert max(v[2] for p, v, a, _ in sampled(t) if a[2] < 1e-9) == pytest.approx(0.7, abs=1e-6)
+    assert max(float(v[2]) for _, v, a, _ in sampled(t) if a[2] < 1e-9) == pytest.approx(0.7, abs=1e-6)
 
 
 def test_track_holds_yaw_outside_its_nodes():
