@@ -169,7 +169,7 @@ def test_level_descent_from_a_height_sinks_fast_and_is_slow_near_the_floor(heigh
 
 def test_level_descent_that_is_too_short_to_sink_fast_is_slow_throughout():
     t = level_descent(
-        (0.0, 0.0, -6.0), (0.0,) * 3, 0.0, floor=0.0, speed=0.7, damped_us=1_000_000, end_us=4_000_000
+        (0.0, 0.0, -6.0), (0.0, 0.0, 0.0), 0.0, floor=0.0, speed=0.7, damped_us=1_000_000, end_us=4_000_000
     )
     assert max(float(v[2]) for _, v, a, _ in sampled(t) if a[2] < 1e-9) == pytest.approx(0.7, abs=1e-6)
 
