@@ -125,7 +125,7 @@ def test_bad_facts_are_refused_in_one_line_and_nothing_is_written(
 
 
 def test_check_of_what_is_no_log_says_so(run_trimtab: Run, tmp_path: Path) -> None:
-    assert run_trimtab("vehicle", "check", "missing.mcap")[0] == 5
+    assert run_trimtab("vehicle", "check", "missing.mcap")[0] == 2
     (tmp_path / "x.mcap").write_bytes(b"no log")
     assert run_trimtab("vehicle", "check", "x.mcap")[0] == 5
     assert run_trimtab("vehicle", "check", str(MADE / "b1.mcap"), "--vehicle", "nobody")[0] == 2

@@ -118,7 +118,9 @@ def test_flights_with_slow_poses_are_traced_by_segments() -> None:
     for name in ("a1", "a2"):
         flight = read_flight(DATA / f"{name}.mcap")
         assert flight.mocap is not None
-        rare = {key: getattr(flight.mocap, key)[::5] for key in ("t_us", "t_arrival_us", "p", "q")}
+        rare = {
+            key: getattr(flight.mocap, key)[::5] for key in ("t_us", "t_arrival_us", "p", "q", "forwarded_us")
+        }
         slow.append(replace(flight, mocap=replace(flight.mocap, **rare)))
     result = run(slow, [], {name: effects[name] for name in ("thrust-gain", "linear-drag")})
     assert isinstance(result.diagnosis, Diagnosis)

@@ -110,6 +110,10 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
         ),
         (Finding(code=Code.ONLY_HOVER), ["body rate", "weigh"]),
         (
+            Finding(code=Code.TIME_RAN_LATE, value=0.4, bound=0.25, log="a.mcap"),
+            ["a.mcap", "40", "late"],
+        ),
+        (
             Finding(code=Code.ALIAS, value=0.256, bound=0.05, subject=("drag", "wind")),
             ["drag may be wind", "0.26"],
         ),
@@ -171,6 +175,7 @@ EXAMPLES: dict[Code, tuple[Finding, list[str]]] = {
 
 STRETCHES: dict[Code, str] = {
     Code.CLOCK_JUMP: "clock",
+    Code.LATE_POSES: "late",
     Code.MOTOR_AT_LIMIT: "motor",
     Code.PITCH_SINGULAR: "pitch",
     Code.IMPACT: "impact",
