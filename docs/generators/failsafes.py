@@ -165,12 +165,13 @@ A landing from a height sinks at up to {fast:g} m/s, and at `LAND_SPEED` from {s
 
 
 _INVARIANTS = """
-## What holds in every flight
+## What is to hold in every flight
 
-The rows below hold for every sequence of commands, setpoints, uploads and faults, for parameters of limits,
-fence and failsafes within the ranges of `sitl/studies/policy/draws.py`, and with the vehicle's own data and
-gains as in its file. Heights, distances and speeds are true ones, measured from outside. `python -m
-trimtab.sitl.studies.policy` flies random sequences against this table. "None" means that no case is allowed.
+The rows below are to hold for every sequence of commands, setpoints, uploads and faults, for parameters of
+limits, fence and failsafes within the ranges of `sitl/studies/policy/draws.py`, and with the vehicle's own
+data and gains as in its file. [A study](../studies/envelope.md#random-sequences) measures how often they do
+not: in 73 of 10,000 random sequences. Heights, distances and speeds are true ones, measured from outside.
+"None" means that no case is allowed.
 
 | name | what holds | bound | when, and for what |
 |---|---|---|---|
