@@ -248,10 +248,10 @@ class _Bag:
     """An open bag. A context manager."""
 
     def __init__(self, path: Path) -> None:
-        highlevel = optional("rosbags.highlevel", "logs")
         self._name = path.name
         if not path.exists():
             raise MissingFile(f"{path}: cannot be read (no such file); check the path")
+        highlevel = optional("rosbags.highlevel", "logs")
         self._bounds, self._budget = ExitStack(), None
         try:
             self._budget = self._bounds.enter_context(bounded(path))
