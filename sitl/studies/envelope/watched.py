@@ -11,6 +11,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import pairwise
 
+from trimtab.firmware_model.flight.invariants import CONTACT_M, Moment, above_ceiling, past_walls
 from trimtab.firmware_model.flight.supervisor import State
 from trimtab.host.vehicle import load_vehicle
 from trimtab.protocol import messages as m
@@ -22,8 +23,6 @@ STEP_US = 10_000
 """Interval of the samples."""
 LINK_US = 500_000
 """Interval at which a station shows that it is alive."""
-CONTACT_M = 0.02
-"""Height at which a descending vehicle counts as touching the floor."""
 _POSITION = 0b0000_0111  # bits of type_mask that mask the position out
 _ACCELERATION, _YAW, _YAW_RATE = 0b1_1100_0000, 1 << 10, 1 << 11
 
@@ -189,11 +188,5 @@ def impacts(samples: list[Sample]) -> list[Sample]:
 
 def beyond(sample: Sample, fence: Mapping[str, float]) -> tuple[float, float]:
     """Return how far the vehicle is above the ceiling and past the walls, m; negative inside."""
-    north, east, down = sample.p
-    sideways = max(
-        north - fence["FENCE_N_MAX"],
-        fence["FENCE_N_MIN"] - north,
-        east - fence["FENCE_E_MAX"],
-        fence["FENCE_E_MIN"] - east,
-    )
-    return fence["FENCE_D_MIN"] - down, sideways
+    moment = Moment(parameters=fence, p=sample.p)
+    return above_ceiling(moment), past_walls(moment)
