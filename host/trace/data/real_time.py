@@ -18,7 +18,8 @@ def late_spans(flight: Flight) -> list[tuple[float, float]]:
 
     There are none in a flight in lock-step, nor in one that is not judged at all.
     """
-    return [] if is_too_late(flight) else _spans(flight)
+    spans = _spans(flight)
+    return [] if _share(flight, spans) > RULES.late_share else spans
 
 
 def is_too_late(flight: Flight) -> bool:
@@ -28,11 +29,14 @@ def is_too_late(flight: Flight) -> bool:
 
 def late_share(flight: Flight) -> float:
     """Return the share of the tracking phase in which the vehicle flew by late or wrongly stamped poses."""
+    return _share(flight, _spans(flight))
+
+
+def _share(flight: Flight, spans: list[tuple[float, float]]) -> float:
     if flight.tracking is None:
         return 0.0
     start_s, end_s = (1e-6 * edge for edge in flight.tracking)
-    late_s = sum(max(0.0, min(b, end_s) - max(a, start_s)) for a, b in _spans(flight))
-    return late_s / (end_s - start_s)
+    return sum(max(0.0, min(b, end_s) - max(a, start_s)) for a, b in spans) / (end_s - start_s)
 
 
 def _spans(flight: Flight) -> list[tuple[float, float]]:
