@@ -10,7 +10,6 @@ from __future__ import annotations
 import contextlib
 import fcntl
 import os
-import pwd
 import re
 from dataclasses import dataclass
 from enum import Enum
@@ -18,6 +17,7 @@ from io import FileIO
 from pathlib import Path
 
 from trimtab.host.base.errors import UsageError
+from trimtab.host.base.trust import user_name
 
 SUFFIX = ".part"
 _NUMBERED = re.compile(r"(?P<name>.+?)(\.(?P<number>[2-9]|[1-9][0-9]+))?\.part", re.DOTALL)
@@ -303,9 +303,4 @@ def owner_of(path: Path) -> str | None:
         number = path.lstat().st_uid
     except OSError:
         return None
-    if number == os.geteuid():
-        return None
-    try:
-        return pwd.getpwuid(number).pw_name
-    except KeyError:
-        return str(number)
+    return None if number == os.geteuid() else user_name(number) or str(number)

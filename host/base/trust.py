@@ -111,7 +111,7 @@ def _home() -> Path | None:
 def _fault(place: Path, status: os.stat_result, *, above: bool) -> str | None:
     """Return how others can change a file or folder. `above`: it is a folder above the one in question."""
     if status.st_uid not in (ROOT, os.geteuid()):
-        return f"{place} belongs to {_user(status.st_uid)}"
+        return f"{place} belongs to {user_name(status.st_uid) or f'user {status.st_uid}'}"
     if above and status.st_mode & stat.S_ISVTX:
         return None
     if status.st_mode & stat.S_IWOTH:
@@ -121,13 +121,14 @@ def _fault(place: Path, status: os.stat_result, *, above: bool) -> str | None:
     return None
 
 
-def _user(uid: int) -> str:
+def user_name(uid: int) -> str | None:
+    """Return the name of a user; None for a number that no user has."""
     import pwd
 
     try:
         return pwd.getpwuid(uid).pw_name
     except KeyError:
-        return f"user {uid}"
+        return None
 
 
 @cache
