@@ -3,12 +3,13 @@
     a_cmd   = a_r + s [K_p (p_r - p) + K_v (v_r - v)] - d_ff
     f       = upright(g e3 - a_cmd)       body z: z_des = f / |f|, thrust along -z_des, heading: yaw_r
     T       = m max(f . z_B, thrust_floor g)
-    w_cmd   = w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att (e_R - e_0),
+    w_cmd   = bound(w_ff(f, j_r - d_ff', yaw_r, yaw_r') - K_att (e_R - e_0)),
     e_R     = 1/2 vee(R_des^T R - R^T R_des)
     tau     = J (K_w (w_cmd - w) + I - K_d w_f') + w x J w,        I' = K_i (w_cmd - w)
 
 f is minus the commanded specific force; `upright` keeps feedback from turning it downward and from tilting it
-by over TILT_MAX_DEG. d_ff is the residual acceleration, predicted plus observed; d_ff' is
+by over TILT_MAX_DEG, and scales its sideways part down below LIFT_FULL; `bound` keeps it from rates above
+RATE_MAX. d_ff is the residual acceleration, predicted plus observed; d_ff' is
 the derivative of the predicted one. s <= 1 scales the feedback down to FEEDBACK_MAX. e_0 is the attitude
 offset in roll and pitch. w_f' is the derivative of the body rate after a first-order filter. Paper sections
 III-B and V-B ("a PD translational controller and a PID body rate controller"). `rate_loop` takes I and the
@@ -28,6 +29,15 @@ from trimtab.firmware_model.law.rotations import attitude_error, cross
 TILT_MAX_DEG = 75.0
 """Greatest tilt that feedback commands beyond what the reference itself asks for."""
 _TILT_MAX_TAN = math.tan(math.radians(TILT_MAX_DEG))
+LIFT_FULL = 0.5
+"""Lift, as a share of the weight, from which feedback acts sideways in full. With less, torque already takes
+more thrust than is commanded, so the same tilt accelerates more; in full, feedback would swing the vehicle.
+A reference within a tilt of 60 deg with so little lift has little thrust as well.
+"""
+RATE_MAX = 8.0
+"""Greatest body rate (rad/s) about roll and pitch, unless the reference itself asks for a greater one.
+Faster, a vehicle overshoots, because its motors saturate.
+"""
 FEEDBACK_MAX = 15.0
 """Greatest acceleration (m/s^2) that position and velocity errors command together; more is scaled down."""
 
@@ -129,36 +139,43 @@ def outer_loop(  # noqa: PLR0913 (an equation of many variables)
     # Exactly 1 within the bound; beyond it the scaled magnitude equals the bound.
     scale = ops.sqrt(bound_squared / ops.maximum(square, bound_squared))
     asked = [ff_accel[i] - ref.a[i] for i in range(3)]
-    f = _upright(
-        ops,
-        [a - scale * e for a, e in zip(asked, feedback, strict=True)],
-        asked,
-        gains.thrust_floor * GRAVITY,
-    )
+    lift_min = gains.thrust_floor * GRAVITY
+    f = _upright(ops, [a - scale * e for a, e in zip(asked, feedback, strict=True)], asked, lift_min)
     thrust_axis = heading(ops, f, ref.yaw)
 
     thrust = f[0] * R[2] + f[1] * R[5] + f[2] * R[8]
-    collective = model.mass_kg * ops.maximum(thrust, gains.thrust_floor * GRAVITY)
+    collective = model.mass_kg * ops.maximum(thrust, lift_min)
 
     error = attitude_error(heading_matrix(thrust_axis), R)
     error = (error[0] - attitude_offset[0], error[1] - attitude_offset[1], error[2])
-    rate_ff = heading_rates(thrust_axis, [ff_jerk[i] - ref.j[i] for i in range(3)], ref.yaw_rate)
-    return collective, [w - k * e for w, k, e in zip(rate_ff, gains.attitude, error, strict=True)]
+    jerk = [ff_jerk[i] - ref.j[i] for i in range(3)]
+    rate_ff = heading_rates(thrust_axis, jerk, ref.yaw_rate)
+    rate_cmd = [w - k * e for w, k, e in zip(rate_ff, gains.attitude, error, strict=True)]
+    asked_f = (asked[0], asked[1], ops.maximum(asked[2] + GRAVITY, lift_min))
+    x, y, _ = heading_rates(heading(ops, asked_f, ref.yaw), jerk, ref.yaw_rate)
+    bound_squared = ops.maximum(x * x + y * y, RATE_MAX * RATE_MAX)
+    square = rate_cmd[0] * rate_cmd[0] + rate_cmd[1] * rate_cmd[1]
+    scale = ops.sqrt(bound_squared / ops.maximum(square, bound_squared))
+    return collective, [scale * rate_cmd[0], scale * rate_cmd[1], rate_cmd[2]]
 
 
 def _upright(ops: Ops, f: Vector, asked: Vector, lift_min: Scalar) -> list[Scalar]:
     """Return f with gravity; feedback neither turns the thrust downward nor tilts it by over TILT_MAX_DEG.
 
-    f, asked: minus the commanded specific force with and without feedback, without gravity. What the
-    reference itself asks for is not limited. Within the limits, f is returned to the bit.
+    Below LIFT_FULL, feedback acts sideways in proportion to the lift. f, asked: minus the commanded specific
+    force with and without feedback, without gravity. What the reference itself asks for is not limited.
+    Within the limits, f is returned to the bit.
     """
     lift_asked = asked[2] + GRAVITY
     lift = ops.maximum(f[2] + GRAVITY, ops.minimum(lift_asked, lift_min))
-    most = _TILT_MAX_TAN * ops.maximum(lift, lift_min)
+    least = ops.maximum(lift, lift_min)
+    full = ops.minimum(least / (LIFT_FULL * GRAVITY), 1.0)
+    north, east = (full * x + (1.0 - full) * y for x, y in zip(f[:2], asked[:2], strict=True))
+    most = _TILT_MAX_TAN * least
     most_squared = ops.maximum(most * most, asked[0] * asked[0] + asked[1] * asked[1])
-    square = f[0] * f[0] + f[1] * f[1]
+    square = north * north + east * east
     share = ops.sqrt(most_squared / ops.maximum(square, most_squared))
-    return [share * f[0], share * f[1], lift]
+    return [share * north, share * east, lift]
 
 
 def rate_loop(

@@ -9,7 +9,14 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
-from trimtab.firmware_model.law.dfbc import FEEDBACK_MAX, TILT_MAX_DEG, FlatState, control
+from trimtab.firmware_model.law.dfbc import (
+    FEEDBACK_MAX,
+    LIFT_FULL,
+    RATE_MAX,
+    TILT_MAX_DEG,
+    FlatState,
+    control,
+)
 from trimtab.firmware_model.law.flatness import flat_attitude, flat_rates
 from trimtab.firmware_model.law.ops import FLOAT
 from trimtab.firmware_model.law.rotations import euler_to_matrix, mat_vec
@@ -109,6 +116,36 @@ def test_control_pulled_back_in_a_climb_stays_upright(north, climb):
     nearly = euler_to_matrix(FLOAT, (0.0, np.radians(TILT_MAX_DEG), 0.0))
     _, _, rate_cmd, _ = _hover(v=v, R=nearly)
     assert rate_cmd[1] < 1e-9  # it does not go on turning
+
+
+def test_control_with_little_lift_feeds_back_sideways_in_proportion_to_it():
+    """Full feedback swings a vehicle that stops a climb, because torque takes more thrust than commanded."""
+
+    def sideways(lift):
+        a = (0.0, 0.0, GRAVITY * (1.0 - lift))
+        tilt = tilt_deg(v=(0.2, 0.0, 0.0), ref=FlatState(ZERO, ZERO, a, ZERO, 0.0, 0.0))
+        return np.tan(np.radians(tilt)) * lift * GRAVITY
+
+    full = GAINS.velocity[0] * 0.2
+    assert sideways(0.8) == pytest.approx(full)
+    assert sideways(LIFT_FULL) == pytest.approx(full)
+    assert sideways(0.5 * LIFT_FULL) == pytest.approx(0.5 * full)
+
+
+def test_control_bounds_the_rate_that_feedback_commands_but_not_that_of_the_reference():
+    turned = euler_to_matrix(FLOAT, (1.5, 0.0, 0.0))
+
+    def rates(jerk, R=turned, **changes):
+        ref = FlatState(ZERO, ZERO, ZERO, (jerk, 0.0, 0.0), 0.0, 0.0)
+        return _hover(R=R, ref=ref, **changes)[2]
+
+    level = euler_to_matrix(FLOAT, (0.0, 0.0, 0.0))
+    slow, fast = rates(30.0, level), rates(120.0, level)
+    assert np.hypot(*slow[:2]) < RATE_MAX < np.hypot(*fast[:2])
+    assert np.hypot(*rates(70.0)[:2]) == pytest.approx(RATE_MAX)
+    assert np.hypot(*rates(120.0)[:2]) == pytest.approx(np.hypot(*fast[:2]))
+    above = rates(60.0, level, p=(0.0, 0.0, -1.0))  # little lift makes the same jerk a fast turn
+    assert np.hypot(*above[:2]) == pytest.approx(RATE_MAX)
 
 
 def test_control_pulled_down_far_off_asks_for_no_tilt():
