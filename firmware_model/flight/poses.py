@@ -6,7 +6,10 @@ import math
 from collections import deque
 from collections.abc import Mapping, Sequence
 
-AGE_MAX_US = 200_000
+AGE_MAX_US = 150_000
+"""Greatest age of a pose. With older ones the estimate of a vehicle in motion swings and does not settle: it
+is extrapolated back to the time of the pose with constant acceleration.
+"""
 AHEAD_US = 5_000
 """Greatest time by which a stamp may lie in the future: clocks are compared over a radio."""
 DISTANCE_MAX = 1e4

@@ -23,6 +23,12 @@ from trimtab.firmware_model.law.rotations import (
     quat_to_matrix,
 )
 
+ACCELERATION_MAX = 40.0
+"""Greatest acceleration (m/s^2) over the age of a pose. A shock on the floor is greater, but short."""
+LATE_S, TURN_MAX = 0.03, 0.03
+"""Age of a pose, and angle (rad) turned in the time beyond that age, from which on its attitude counts less:
+the body rate was not constant.
+"""
 INTERVAL_MAX_S = 0.04
 """Greatest time that weighs a correction: after a longer gap the gains times the gap would overshoot."""
 
@@ -76,13 +82,16 @@ def correct(  # noqa: PLR0913 (an equation of many variables)
 ) -> Estimate:
     """Return the estimate corrected by a pose measured `age_s` ago; unchanged if `dt_s_since_last` is 0.
 
-    Positions are compared at the time of the pose: p - v age + a age^2 / 2, exact for constant acceleration.
-    Attitudes are compared now: the measured one is rotated forward by exp(rate age). The signs of the
+    Positions are compared at the time of the pose: p - v age + a age^2 / 2, exact for constant acceleration
+    within ACCELERATION_MAX.
+    Attitudes are compared now: the measured one is rotated forward by exp(rate age), and counts less if that
+    is much, see TURN_MAX. The signs of the
     quaternions do not matter. The corrections of velocity and gyro bias also act on position and attitude
     over `age_s`. The next prediction normalizes the quaternion.
     """
     dt = ops.minimum(dt_s_since_last, INTERVAL_MAX_S)
-    half = 0.5 * age_s
+    most, square = ACCELERATION_MAX**2, sum(a_i * a_i for a_i in accel_ned)
+    half = 0.5 * age_s * ops.sqrt(most / ops.maximum(square, most))
     k_v = dt * gains.velocity
     k_p = dt * gains.position + age_s * k_v
     p, v = [], []
@@ -99,8 +108,11 @@ def correct(  # noqa: PLR0913 (an equation of many variables)
         sign * y,
         sign * z,
     )  # rotation vector from the estimate to the pose, FRD, for small angles
-    k_b = dt * gains.bias
-    k_q = dt * gains.attitude + age_s * k_b
+    late_s = ops.maximum(age_s - LATE_S, 0.0)
+    turned = late_s * late_s * (rate[0] * rate[0] + rate[1] * rate[1] + rate[2] * rate[2])
+    trust = dt * (TURN_MAX**2 / ops.maximum(turned, TURN_MAX**2))
+    k_b = trust * gains.bias
+    k_q = trust * gains.attitude + age_s * k_b
     q = quat_multiply(est.q, quat_exp(ops, [k_q * e for e in error]))
     bias = tuple(b - k_b * e for b, e in zip(est.bias, error, strict=True))
     return Estimate(tuple(p), tuple(v), q, bias)
@@ -117,7 +129,8 @@ def converges(gain: float, rate_gain: float) -> bool:
 
     By the Jury criterion both roots lie within the unit circle if gain > 0, rate_gain > 0 and
     2 h gain + h^2 rate_gain < 4. With rate_gain = 0, f stays constant. The condition is strictest at the
-    longest h. It does not depend on the age of the poses, because e is the error at the time of measurement.
+    longest h. It does not depend on the age of the poses, because e is the error at the time of measurement;
+    for attitude only while the vehicle turns slowly (TURN_MAX).
     """
     h = INTERVAL_MAX_S
     return gain > 0.0 <= rate_gain and 2.0 * h * gain + h * h * rate_gain < 4.0

@@ -11,7 +11,9 @@ from hypothesis import strategies as st
 
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.estimator import (
+    ACCELERATION_MAX,
     INTERVAL_MAX_S,
+    LATE_S,
     Estimate,
     EstimatorGains,
     converges,
@@ -139,10 +141,36 @@ def test_estimator_from_a_wrong_start_finds_the_state_and_the_bias():
     assert bias < 1e-2
 
 
-@pytest.mark.parametrize("age_s", [0.05, 0.1, 0.15, 0.2])
-def test_errors_die_out_however_old_the_poses_are(age_s: float):
-    """At 0.2 s the circle's jerk, of which the age knows nothing, is worth 9 mm."""
-    p, v, attitude, bias = _fly(age_s, age_s)
+def test_correct_by_a_late_attitude_in_a_quick_turn_counts_less():
+    est = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def turned(age, rate):
+        q = quat_exp(FLOAT, (0.1 - age * rate, 0.0, 0.0))  # 0.1 rad off after the turn
+        after = correct(FLOAT, est, (rate, 0.0, 0.0), (0.0,) * 3, (0.0,) * 3, q, age, 0.01, GAINS)
+        return after.q[1] / (0.01 * GAINS.attitude + age * 0.01 * GAINS.bias)
+
+    calm = turned(0.0, 0.0)
+    assert turned(0.02, 5.0) == pytest.approx(calm)  # in time
+    assert turned(0.1, 0.2) == pytest.approx(calm)  # hardly a turn
+    assert turned(0.1, 3.0) < 0.1 * calm
+
+
+def test_correct_in_a_shock_does_not_extrapolate_it_over_the_age_of_the_pose():
+    est = Estimate((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0), (0.0, 0.0, 0.0))
+
+    def moved(shock):
+        pose = (0.0, 0.0, 0.0), (1.0, 0.0, 0.0, 0.0)
+        after = correct(FLOAT, est, (0.0,) * 3, (0.0, 0.0, -shock), *pose, 0.12, 0.01, GAINS)
+        return after.p[2], after.v[2]
+
+    assert moved(500.0) == moved(ACCELERATION_MAX)
+    assert moved(0.5 * ACCELERATION_MAX)[1] == pytest.approx(0.5 * moved(ACCELERATION_MAX)[1])
+
+
+@pytest.mark.parametrize(("age_s", "seconds"), [(0.05, 8.0), (0.1, 8.0), (0.15, 30.0)])
+def test_errors_die_out_however_old_the_poses_are(age_s: float, seconds: float):
+    """Later, since late attitudes of a turning vehicle count less."""
+    p, v, attitude, bias = _fly(age_s, age_s, seconds)
     assert p < 0.01
     assert v < 0.1
     assert attitude < 2e-3
@@ -196,10 +224,12 @@ def test_errors_die_out_within_the_bound_of_the_gains_and_grow_beyond_it(share, 
     for size, stable in ((0.95, True), (1.05, False)):
         gain, rate_gain = 4.0 * size * share / (2.0 * h), 4.0 * size * (1.0 - share) / (h * h)
         assert converges(gain, rate_gain) == stable
-        for left in _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), h, age):
-            assert left < 0.5 if stable else left > 10.0
-        for left in _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), 0.02, age):
-            assert left < 0.5  # sooner, they die out in either case
+        p_left, q_left = _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), h, age)
+        assert p_left < 0.5 if stable else p_left > 10.0
+        if age <= LATE_S:  # a late attitude counts less once it turns the estimate quickly
+            assert q_left < 0.5 if stable else q_left > 10.0
+        sooner = _worst_left(EstimatorGains(gain, rate_gain, gain, rate_gain), 0.02, age)
+        assert max(sooner if age <= LATE_S else sooner[:1]) < 0.5  # they die out in either case
 
 
 @pytest.mark.parametrize(

@@ -162,13 +162,12 @@ def _bit(name):
 
 def test_unsigned_pose_is_not_used(make_line):
     line = make_line(store=keyed_store())
-    pose = m.AttPosMocap(250_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0)
     line.run(0.3)
-    line.send(pose)
+    line.send(m.AttPosMocap(250_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0))
     line.run(0.1)
     assert line.flight.flight.poses.used == 0
     sign(line)
-    line.send(pose)
+    line.send(m.AttPosMocap(350_000, [1.0, 0.0, 0.0, 0.0], 0.0, 0.0, 0.0))
     line.run(0.1)
     assert line.flight.flight.poses.used == 1
 
