@@ -6,7 +6,7 @@ import math
 from collections.abc import Mapping, Sequence
 
 from trimtab.firmware_model.flight.parameters import ParameterValues
-from trimtab.firmware_model.flight.poses import ClashDetector, PoseInput
+from trimtab.firmware_model.flight.poses import AGE_MAX_US, ClashDetector, PoseInput
 from trimtab.firmware_model.flight.readiness import GyroCalibration
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.feedforward import PREDICTION_TIME
@@ -22,7 +22,8 @@ class Estimate:
     """Sets the estimate in the engine's block `memory` and passes poses to the estimator.
 
     `poses`: poses that wait for a tick. `calibration`: calibration of the gyro. `clash`: whether poses of two
-    sources have arrived in this flight.
+    sources have arrived in this flight. `in_a_row`: number of poses used since one set the estimate, or was
+    far from it.
     """
 
     def __init__(self, inputs: Mapping[str, memoryview[float]], parameters: ParameterValues) -> None:
@@ -30,6 +31,7 @@ class Estimate:
         self.poses = PoseInput(inputs)
         self.calibration = GyroCalibration()
         self.clash = ClashDetector()
+        self.in_a_row = 0
         self._memory = inputs["memory"]
         self._gyro, self._force = inputs["gyro"], inputs["specific_force"]
         self._feedforward = inputs["feedforward"]
@@ -57,14 +59,17 @@ class Estimate:
         poses of two sources were detected, every pose is rejected: nobody knows which source is right.
         """
         repeats = self.poses.repeats(p, q)
+        far = self._is_outlier(time_us, p, q, now_us)
         if not armed:
+            if far:
+                self.in_a_row = 0
             return self.poses.offer(time_us, p, q, now_us)
         frozen = flying and repeats and self._moving()
-        accepted = not (
-            frozen or self.clash.found or self._is_outlier(time_us, p, q, now_us)
-        ) and self.poses.offer(time_us, p, q, now_us)
-        # A rejected pose near the estimate contradicts nothing: it was repeated, or forwarded twice.
-        if accepted or not self._distance(time_us, p, now_us) <= CLASH_M:
+        accepted = not (frozen or self.clash.found or far) and self.poses.offer(time_us, p, q, now_us)
+        # A rejected pose near the estimate contradicts nothing: it was repeated, or forwarded twice. Neither
+        # does one that is too old: the vehicle has moved on.
+        current = now_us - time_us <= AGE_MAX_US
+        if accepted or (current and not self._distance(time_us, p, now_us) <= CLASH_M):
             self.clash.update(accepted, now_us, round(self._parameters["EST_CLASH"]))
         return accepted
 
@@ -77,7 +82,9 @@ class Estimate:
         pose, before_us = self.poses.take()
         if before_us is None or (restart_us is not None and pose[0] - before_us > restart_us):
             self._set(pose[1], pose[2])
+            self.in_a_row = 1
             return False
+        self.in_a_row += 1
         self.poses.show(pose, before_us, now_us)
         return True
 

@@ -20,6 +20,9 @@ from trimtab.firmware_model.flight.supervisor import Event, State
 from trimtab.firmware_model.flight.track import Track
 from trimtab.firmware_model.flight.verdict import battery_verdict
 
+POSES_IN_A_ROW = 5
+"""Least number of poses in a row before arming: one alone may be from another source, or very late."""
+
 
 class CommandGate:
     """Refuses commands that the present condition of the vehicle does not allow, with a reason.
@@ -83,7 +86,7 @@ class CommandGate:
         memory, values = self._memory, self._parameters
         state = ArmingState(
             calibrated=self._estimate.calibration.bias is not None,
-            has_pose=self.has_pose(now_us),
+            has_pose=self.has_pose(now_us) and self._estimate.in_a_row >= POSES_IN_A_ROW,
             still=self._stillness.still,
             pose_tilt_deg=self._stillness.pose_tilt_deg,
             pose_tilt_max_deg=values["ARM_ASKEW_DEG"],

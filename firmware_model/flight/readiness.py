@@ -132,7 +132,7 @@ class ArmingState(NamedTuple):
     calibrated
         Whether the gyro is calibrated.
     has_pose
-        Whether poses are in use.
+        Whether several poses in a row have arrived, the last one a short time ago.
     still, pose_tilt_deg
         Results of `StillnessDetector`; pose_tilt_max_deg is the bound of pose_tilt_deg.
     cos_tilt
