@@ -13,9 +13,11 @@ from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.supervisor import Event
 
 FLOOR_HEIGHT = 0.03
-"""Height (m) above the take-off floor below which a descent ends immediately. In wind a vehicle descends
-tilted, and attitude control would tip it over on the floor within a quarter of a second.
+"""Height (m) above the take-off floor below which a descent ends immediately, unless poses are late. In wind
+a vehicle descends tilted, and attitude control would tip it over on the floor within a quarter of a second.
 """
+HOP_SPEED = 0.5
+"""Speed of a climb (m/s) above which a low height is no touchdown: without thrust the vehicle would hop."""
 CLEAR_HEIGHT = 0.15
 """Height (m) above the floor below which the vehicle only climbs vertically, so it does not drag its feet."""
 TOUCH_FORCE = 1.0
@@ -191,15 +193,18 @@ class ConditionMonitor:
         return [row for row, start_us, timeout_us in lasting if now_us - start_us > timeout_us]
 
     def update_touchdown(
-        self, now_us: int, *, height: float, speed: float, reference_below: bool, carried: bool
+        self, now_us: int, *, height: float, v: Sequence[float], reference_below: bool, carried: bool
     ) -> bool:
-        """Update the detection of touchdown by height (m) and speed (m/s); return whether it has happened.
+        """Update the detection of touchdown by height (m) and v (m/s, NED); return whether it has happened.
 
         reference_below: whether the reference is more than 5 cm below the vehicle. carried: whether the force
         exceeds the thrust. A vehicle that turns from a climb to a descent is slow as well, but not carried.
+        While poses are late, height alone is no sign: it may be wrong by decimetres.
         """
-        stopped = reference_below and carried and height < self._land_height and speed < self._stop_speed
-        return self._touch_lasted(now_us, stopped) or height < FLOOR_HEIGHT
+        slow = math.hypot(*v) < self._stop_speed
+        stopped = reference_below and carried and height < self._land_height and slow
+        low = height < FLOOR_HEIGHT and self._recent_us == self._update_us and v[2] > -HOP_SPEED
+        return self._touch_lasted(now_us, stopped) or low
 
     def update_thrust_ratio(self, *, force: float, thrust: float, share: float = _FLIGHT_GAIN) -> None:
         """Update the thrust ratio from force and thrust over mass (m/s^2, up) in level flight.

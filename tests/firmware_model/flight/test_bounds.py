@@ -84,7 +84,7 @@ def test_pose_in_the_air_is_used_within_its_bounds(make_rig, name, value, north_
 def test_touchdown_follows_its_height_and_speed(name, landed):
     monitor = ConditionMonitor(ParameterValues({**DEFAULTS, **({} if name is None else {name: 0.06})}))
     monitor.start(1_000_000)
-    signs = {"height": 0.1, "speed": 0.1, "reference_below": True, "carried": True}
+    signs = {"height": 0.1, "v": (0.1, 0.0, 0.0), "reference_below": True, "carried": True}
     monitor.update_touchdown(1_100_000, **signs)
     assert monitor.update_touchdown(1_350_000, **signs) is landed
 
@@ -130,6 +130,6 @@ def test_level_descent_follows_velocity_for_fs_blind_s(make_rig, blind_s):
 def test_level_descent_ends_fs_blind_end_s_later(make_rig, end_s):
     rig = make_rig(reference=False, parameters={"FS_BLIND_S": 0.5, "FS_BLIND_END_S": end_s})
     rig.standby()
-    rig.flight._phases.descend_level(0.0, 1.0, rig.now_us)
+    rig.flight._phases.descend_level(((0.0,) * 12, (0.0, 0.0)), 1.0, rig.now_us)
     track = rig.flight._phases.player._track
     assert track.end_us == pytest.approx(1e6 * (max(0.5, 1.1) + end_s), abs=700_000)

@@ -202,20 +202,22 @@ def monitor():
 
 
 def test_landed_needs_all_signs_for_their_time(monitor):
-    signs = {"height": 0.05, "speed": 0.02, "reference_below": True, "carried": True}
+    signs = {"height": 0.05, "v": (0.0, 0.0, 0.02), "reference_below": True, "carried": True}
     assert not monitor.update_touchdown(1_100_000, **signs)
     assert not monitor.update_touchdown(1_150_000, **{**signs, "height": 0.5})
     assert not monitor.update_touchdown(1_340_000, **signs)
     assert monitor.update_touchdown(1_350_000, **signs)
-    assert not monitor.update_touchdown(1_360_000, **{**signs, "speed": 0.3})
+    assert not monitor.update_touchdown(1_360_000, **{**signs, "v": (0.3, 0.0, 0.0)})
     assert not monitor.update_touchdown(1_600_000, **{**signs, "reference_below": False})
     assert not monitor.update_touchdown(1_900_000, **{**signs, "carried": False})
 
 
 def test_landed_on_the_floor_it_took_off_from_is_at_once(monitor):
-    assert monitor.update_touchdown(1_000_000, height=0.02, speed=0.5, reference_below=False, carried=False)
+    assert monitor.update_touchdown(
+        1_000_000, height=0.02, v=(0.0, 0.0, 0.5), reference_below=False, carried=False
+    )
     assert not monitor.update_touchdown(
-        1_010_000, height=0.035, speed=0.5, reference_below=True, carried=True
+        1_010_000, height=0.035, v=(0.0, 0.0, 0.5), reference_below=True, carried=True
     )
 
 
