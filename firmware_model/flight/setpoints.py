@@ -140,6 +140,18 @@ def climb_only(target: PositionTarget, state: Node) -> PositionTarget:
     )
 
 
+def levelled(target: AttitudeTarget, yaw: float) -> AttitudeTarget:
+    """Return the target without tilt, for a vehicle close above the floor.
+
+    Its heading, yaw rate and thrust stay. A target without attitude keeps this yaw.
+    """
+    w, z = math.cos(0.5 * yaw), math.sin(0.5 * yaw)
+    if target.q is not None and (target.q[0] or target.q[3]):
+        w, z = target.q[0], target.q[3]
+    length = math.hypot(w, z)
+    return replace(target, q=(w / length, 0.0, 0.0, z / length), rate=(0.0, 0.0, target.rate[2]))
+
+
 def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) -> tuple[Track, bool]:
     """Return the track from the reference state (p, v, a, j) to the target, and whether bounds changed it.
 
@@ -150,11 +162,6 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
     shortest_s = SAMPLE_S if target.is_sample else SHORTEST_S
     nodes = _nodes(goal, goal_v, target.a, state, bounds, shortest_s)
     t_us, end = nodes[-1]
-    velocity: Vector = (end[3], end[4], end[5])
-    if any(end[6:9]):
-        t_us += seconds_us(RENEWAL_S)
-        end = _moving(coast(end, velocity, RENEWAL_S), velocity)
-        nodes.append((t_us, end))
     end_us = t_us + ENDLESS_US
     nodes += [(t_us + after_us, node) for after_us, node in _to_wall(end, bounds)[1:]]
     last_us, last = nodes[-1]
@@ -167,26 +174,44 @@ def towards(target: PositionTarget, state: Node, yaw: YawState, bounds: Bounds) 
 
 
 def _to_wall(state: Node, bounds: Bounds) -> Timeline:
-    """Return a flight at the state's velocity that stops each axis at the wall of the room."""
-    if not any(state[3:6]):
+    """Return a flight at this velocity, soon without acceleration, that stops each axis at the wall."""
+    if not any(state[3:9]):
         return [(0, state)]
     return merged(*(_axis_to_wall(along(state, (i,)), i, bounds) for i in range(3)))
 
 
 def _axis_to_wall(state: Node, axis: int, bounds: Bounds) -> Timeline:
-    """Return the same along one axis, with 0 for the others."""
+    """Return the same along one axis, with 0 for the others.
+
+    An acceleration ends within RENEWAL_S, or in a stop if there is no room for that.
+    """
+    if state[6 + axis]:
+        velocity: Vector = (state[3], state[4], state[5])
+        later = _moving(coast(state, velocity, RENEWAL_S), velocity)
+        if _room_to_stop(later, axis, bounds) < 0.0 or bounds.room.beyond(later, (axis,)) > 0.0:
+            return stopped(state, (axis,), bounds.accel, SIDEWAYS_RAMP_US)
+        rest = _axis_to_wall(later, axis, bounds)
+        return [(0, state), *((seconds_us(RENEWAL_S) + t_us, node) for t_us, node in rest)]
     v = state[3 + axis]
     if not v:
         return [(0, state)]
     stop = stopped(state, (axis,), bounds.accel, SIDEWAYS_RAMP_US)
-    wall = bounds.room.high[axis] if v > 0.0 else bounds.room.low[axis]
-    coast_s = max(0.0, (wall - stop[-1][1][axis]) / v)  # from here to where the stop begins
+    coast_s = max(0.0, _room_to_stop(state, axis, bounds)) / abs(v)  # from here to where the stop begins
     coast_us = 1000 * math.floor(1000.0 * min(coast_s, 1e-6 * ENDLESS_US))
     if not coast_us:
         return stop
     shift = 1e-6 * coast_us * v
     moved = [(coast_us + t_us, _shifted(node, axis, shift)) for t_us, node in stop]
     return [(0, state), *(moved if coast_us < ENDLESS_US else moved[:1])]
+
+
+def _room_to_stop(state: Node, axis: int, bounds: Bounds) -> float:
+    """Return how far before the wall a stop that begins now ends, m; 0 for a state at rest."""
+    v = state[3 + axis]
+    if not v:
+        return 0.0
+    end = stopped(state, (axis,), bounds.accel, SIDEWAYS_RAMP_US)[-1][1][axis]
+    return bounds.room.high[axis] - end if v > 0.0 else end - bounds.room.low[axis]
 
 
 def _shifted(node: Node, axis: int, distance: float) -> Node:
@@ -272,13 +297,14 @@ def _end(goal: Axes, velocity: Vector, accel: Vector, state: Node, length_s: flo
         for here, x, w, b in zip(_coasted(state, v, length_s, a), goal, velocity, a, strict=True)
     ]
     for i, (low, high) in enumerate(zip(*bounds.room, strict=True)):
-        if goal[i] is None:
-            limited = min(max(v[i], -_speed_limit(p[i] - low, bounds)), _speed_limit(high - p[i], bounds))
-            if limited != v[i]:
-                v[i], a[i] = limited, 0.0
-                p[i] = _coasted(state, v, length_s, a)[i]
-        elif not low <= p[i] <= high:
+        if goal[i] is not None and not low <= p[i] <= high:
             p[i], v[i], a[i] = min(max(p[i], low), high), 0.0, 0.0
+            continue
+        limited = min(max(v[i], -_speed_limit(p[i] - low, bounds)), _speed_limit(high - p[i], bounds))
+        if limited != v[i]:
+            v[i], a[i] = limited, 0.0
+            if goal[i] is None:
+                p[i] = _coasted(state, v, length_s, a)[i]
     return (*p, *v, *a, 0.0, 0.0, 0.0)
 
 

@@ -69,6 +69,24 @@ def test_one_change_of_position_in_full_flight_leads_there(seed: int) -> None:
 
 
 @pytest.mark.parametrize(
+    ("target", "state"),
+    [
+        (
+            PositionTarget(p=(-0.6, -0.5, -0.5), v=(0.8, 1.9, 1.6), a=(-3.1, -4.0, -4.9)),
+            (-0.3, 0.4, -1.1, -0.3, 0.1, 0.2, 0.1, -0.2, 0.7, 3.1, 3.3, -23.6),
+        ),
+        (  # it turns before the wall
+            PositionTarget(p=(9.925, 0.0, -2.0), v=(-1.0, 0.0, 0.0), a=(4.0, 0.0, 0.0)),
+            (9.925, 0.0, -2.0, -1.0, 0.0, 0.0, 4.0, 0.0, 0.0, 0.0, 0.0, 0.0),
+        ),
+    ],
+)
+def test_sample_of_a_trajectory_that_speeds_up_towards_a_wall_stops_inside(target, state) -> None:
+    way, _ = towards(target, state, (0.0, 0.0), BOUNDS)
+    assert max(BOUNDS.room.beyond(way.state_at(20_000 * k)) for k in range(500)) < 0.06
+
+
+@pytest.mark.parametrize(
     "velocity", [(3.0, 0.0, 0.0), (0.0, -2.0, 0.0), (0.0, 0.0, 1.5), (2.0, 3.0, -1.0), (0.1, 0.0, 0.0)]
 )
 def test_velocity_without_a_newer_setpoint_stops_at_the_wall(velocity: tuple[float, float, float]) -> None:
