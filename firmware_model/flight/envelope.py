@@ -34,6 +34,8 @@ TURN_SHARE = 0.7
 """Mean body rate of a turn of the thrust axis over ATT_P times its angle."""
 TURN_S = 0.05
 """Time that a turn of the thrust axis takes beyond that: the body rate has to build up and to end."""
+TURN_LIFT = 3.0
+"""Lift (m/s^2) beyond the least while the thrust axis turns: torque takes more thrust than is commanded."""
 SHARE_MIN = 0.3
 """Least share of a horizontal deceleration along an axis, for one along which the vehicle hardly moves."""
 IMPACT_SPEED = 1.0
@@ -53,6 +55,11 @@ class Motion(NamedTuple):
     thrust: float
     cos_tilt: float
 
+    @property
+    def tilt(self) -> float:
+        """Tilt, rad."""
+        return math.acos(min(max(self.cos_tilt, -1.0), 1.0))
+
 
 class Envelope(NamedTuple):
     """Constants of the prediction, from the parameters on board and the thrust ratio.
@@ -67,29 +74,33 @@ class Envelope(NamedTuple):
 
     def apex(self, motion: Motion) -> float:
         """Return how far the vehicle would still climb, m, if the thrust were cut now."""
-        rising, lift = -motion.v[2], GRAVITY - motion.a[2]
-        commanded = motion.thrust * max(motion.cos_tilt, 0.0)
-        lift += max(0.0, commanded - lift) * (1.0 - math.exp(-DECISION_S / self.lag_s))
-        brake = self.brakes.rising
-        least = GRAVITY - brake
-        excess_s = max(0.0, lift - least) * self.lag_s  # speed gained until the thrust has decayed
-        speed = rising + (lift - GRAVITY) * DECISION_S + excess_s
+        speed, excess_s = self._rising(motion)
         if speed <= 0.0:
             return 0.0
         delay_s = DECISION_S + 0.5e-6 * VERTICAL_RAMP_US
-        return max(0.0, rising) * delay_s + speed * speed / (2.0 * brake) - excess_s * self.lag_s
+        high = max(0.0, -motion.v[2]) * delay_s + speed * speed / (2.0 * self.brakes.rising)
+        return high - excess_s * self.lag_s
+
+    def _rising(self, motion: Motion) -> tuple[float, float]:
+        """Return the speed (m/s) from which a climb has to stop, and the part gained in the rotor lag."""
+        lift = GRAVITY - motion.a[2]
+        commanded = motion.thrust * max(motion.cos_tilt, 0.0)
+        lift += max(0.0, commanded - lift) * (1.0 - math.exp(-DECISION_S / self.lag_s))
+        excess_s = max(0.0, lift - (GRAVITY - self.brakes.rising)) * self.lag_s
+        turned = TURN_LIFT * self._turn_to_brake(motion)[0] / self.turn_rate
+        return -motion.v[2] + (lift - GRAVITY) * DECISION_S + excess_s + turned, excess_s
 
     def sideways(self, motion: Motion, room: float) -> tuple[float, float, float, float]:
         """Return how far the vehicle would still move to the north, south, east and west, m.
 
         room: height (m) that is left for a climb. A climb that needs a hard stop leaves less lift to tilt.
         """
-        rising = max(0.0, -motion.v[2])
+        rising = max(0.0, self._rising(motion)[0]) if motion.v[2] < 0.0 else 0.0
         needed = self.brakes.climb(rising, room)
         beside, brake = self.brakes.sideways_beside(needed), self.brakes.sideways
         beside_s = rising / needed + 1e-6 * (VERTICAL_RAMP_US + SIDEWAYS_RAMP_US / 2) if rising else 0.0
         brake_tilt = math.atan2(brake, GRAVITY)
-        tilt = math.acos(min(max(motion.cos_tilt, -1.0), 1.0))
+        tilt = motion.tilt
         level = max(math.hypot(motion.a[0], motion.a[1]), 1e-6)
         shares = _shares(motion, 0.5 * self._turn_s(brake_tilt + tilt))
         distances = []
@@ -103,22 +114,39 @@ class Envelope(NamedTuple):
     def impact_speed(self, motion: Motion, height: float) -> float:
         """Return the speed (m/s) at which the vehicle would meet a floor `height` below it; 0 if it stops.
 
-        A vehicle that moves sideways must stop CLEAR_HEIGHT above the floor.
+        A vehicle that moves sideways must stop CLEAR_HEIGHT above the floor. While its thrust turns to brake,
+        it has less lift.
         """
         sinking, a = motion.v[2], motion.a[2]
-        turn_s = self._turn_s(math.acos(min(max(motion.cos_tilt, -1.0), 1.0)))
-        sideways = math.hypot(*(motion.v[axis] + 0.5 * turn_s * motion.a[axis] for axis in (0, 1)))
+        turn, sideways = self._turn_to_brake(motion)
         if sideways > IMPACT_SPEED:
             height -= CLEAR_HEIGHT
-        turn_s += 0.5e-6 * VERTICAL_RAMP_US
+            a = max(a, GRAVITY * (1.0 - max(0.0, math.cos(turn))))
+        # A linear change as late, in its mean, as the stop's ramp behind decision and rotor lag.
+        turn_s = turn / self.turn_rate + 2.0 * (DECISION_S + self.lag_s) + 1e-6 * VERTICAL_RAMP_US
         brake = max(self.brakes.sinking, SINKING_MIN)
         after = sinking + turn_s * (a - brake) / 2.0
         left = height - (sinking * turn_s + turn_s**2 * (2.0 * a - brake) / 6.0)
         if after <= 0.0 or left <= 0.0:
-            square = sinking * sinking + 2.0 * max(a, 0.0) * max(height, 0.0)
-            return math.hypot(math.sqrt(square), sideways) if left <= 0.0 and sinking > 0.0 else 0.0
+            square = max(sinking, 0.0) ** 2 + 2.0 * max(a, 0.0) * max(height, 0.0)
+            return math.hypot(math.sqrt(square), sideways) if left <= 0.0 else 0.0
         square = after * after - 2.0 * brake * left
         return math.hypot(math.sqrt(square), sideways) if square > 0.0 else 0.0
+
+    def _turn_to_brake(self, motion: Motion) -> tuple[float, float]:
+        """Return the angle (rad) by which the thrust axis turns to brake, and the horizontal speed then, m/s.
+
+        A slow vehicle only becomes level.
+        """
+        tilt, (a_north, a_east, _) = motion.tilt, motion.a
+        half_s = 0.5 * self._turn_s(tilt)
+        north, east = motion.v[0] + half_s * a_north, motion.v[1] + half_s * a_east
+        sideways = math.hypot(north, east)
+        if sideways <= IMPACT_SPEED:
+            return tilt, sideways
+        scale = tilt / max(sideways * math.hypot(a_north, a_east), 1e-6)
+        along, across = scale * (north * a_north + east * a_east), scale * (north * a_east - east * a_north)
+        return math.hypot(along + math.atan2(self.brakes.gentle, GRAVITY), across), sideways
 
     def _turn_s(self, angle: float) -> float:
         return angle / self.turn_rate + self.lag_s + TURN_S

@@ -135,8 +135,8 @@ CONDITIONS: tuple[Condition, ...] = (
     Condition(
         failsafe=Failsafe.GEOFENCE,
         event=Event.FENCE_AHEAD,
-        description="attitude commanded, or far from the reference: stopping point outside FENCE_* by more "
-        "than the bound, or on the floor too fast",
+        description="a stop would meet the floor too fast, or end outside FENCE_* (attitude commanded), or "
+        "outside by more than the bound (far from the reference)",
         bound="FS_FENCE_M",
         action=Action.LAND_IN_PLACE,
         rationale="beyond this point even a full stop ends outside",

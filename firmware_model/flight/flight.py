@@ -48,6 +48,8 @@ BOOT_US = 200_000
 """Time from power to standby."""
 UPDATE_TICKS = 10
 """Number of ticks between two checks of conditions, readiness and touchdown."""
+UPDATE_S = 1e-6 * UPDATE_TICKS * TICK_US
+"""The same in seconds."""
 _CRITICAL, _WARNING, _INFO = 2, 4, 6  # MAV_SEVERITY
 
 OBSERVED = (State.TRACKING, State.HOLD, State.OFFBOARD)
@@ -279,6 +281,8 @@ class Flight:
                 self.handle_event(Event.BOOTED, now_us)
             return
         self._observe(now_us, battery_v)
+        if self.action is not Action.LEVEL_DESCENT:
+            self._dead_reckoning.follow_bias(UPDATE_S)
         active = self.monitor.active_conditions()
         if self._flying and self._stops_outside(now_us):
             active.append(BY_EVENT[Event.FENCE_AHEAD])
@@ -291,6 +295,7 @@ class Flight:
             self._stillness.update(now_us, math.hypot(*self._memory[law.EST_V]), mat_vec(R, self._force))
             if self._estimate.calibrate(now_us):
                 self._report(_INFO, "gyro calibrated")
+                self._dead_reckoning.calibrated()
             return
         for condition in active:
             self._trigger(condition, now_us)
@@ -331,14 +336,14 @@ class Flight:
         """Return whether nothing but a stop now keeps the vehicle inside the fence and off the floor.
 
         A vehicle that is near its reference is where the reference is, which does not leave the fence, unless
-        it began in a motion that attitudes had caused.
+        it began in a motion that attitudes had caused. Such a motion is to stop inside the fence.
         """
         memory = self._memory
         if self._offboard.direct:
             self._direct_us = now_us
+        direct = self.state is State.OFFBOARD and now_us - self._direct_us <= AFTER_DIRECT_US
         near = math.dist(self.outputs["reference"][:3], memory[:3]) < OFF_TRACK_M
-        follows = self.state is not State.OFFBOARD or now_us - self._direct_us > AFTER_DIRECT_US
-        if not self._offboard.direct and near and follows:
+        if near and not direct:
             return False
         a = mat_vec(quat_to_matrix(FLOAT, memory[law.EST_Q]), self._force)
         motion = Motion(
@@ -349,7 +354,8 @@ class Flight:
             cos_tilt=self._cos_tilt[0],
         )
         values, phases = self.parameters, self._phases
-        return stops_outside(phases.envelope, motion, fence(values), values["FS_FENCE_M"], phases.floor)
+        margin = 0.0 if direct else values["FS_FENCE_M"]
+        return stops_outside(phases.envelope, motion, fence(values), margin, phases.floor)
 
     @property
     def _lift(self) -> float:
@@ -466,7 +472,7 @@ class Flight:
             phases.land(reference_state, now_us)
         elif self.action is Action.LEVEL_DESCENT:
             self._dead_reckoning.start(1e-6 * (now_us - self.monitor.pose_us), self.parameters)
-            phases.descend_level(reference_state[1][0], self.monitor.thrust_ratio, now_us)
+            phases.descend_level(reference_state, self.monitor.thrust_ratio, now_us)
         elif self.action is Action.MOTORS_OFF:
             phases.fall(now_us)
 
@@ -487,7 +493,7 @@ class Flight:
         memory = self._memory
         if self.action is Action.LEVEL_DESCENT:
             phases, monitor = self._phases, self.monitor
-            self._dead_reckoning.apply(1e-6 * UPDATE_TICKS * TICK_US)
+            self._dead_reckoning.apply(UPDATE_S)
             phases.go_blind(monitor.thrust_ratio, now_us)
             return monitor.update_support(
                 now_us,
@@ -501,7 +507,7 @@ class Flight:
         return self.monitor.update_touchdown(
             now_us,
             height=self.height_m,
-            speed=math.hypot(memory[3], memory[4], memory[5]),
+            v=memory[law.EST_V],
             reference_below=self.outputs["reference"][2] > memory[2] + 0.05,
             carried=self.monitor.excess(self._lift, self._phases.lagged_thrust) > TOUCH_FORCE,
         )

@@ -7,7 +7,7 @@ level descent start at the estimate. `Flight` decides on the state of the vehicl
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 from trimtab.firmware_model.clock import NEVER_US
 from trimtab.firmware_model.flight import braking, track
@@ -17,7 +17,7 @@ from trimtab.firmware_model.flight.feedforward import FeedForwardInput
 from trimtab.firmware_model.flight.offboard import Offboard
 from trimtab.firmware_model.flight.parameters import ParameterValues
 from trimtab.firmware_model.flight.player import Player
-from trimtab.firmware_model.flight.setpoints import PositionTarget, climb_only, to_ned, towards
+from trimtab.firmware_model.flight.setpoints import PositionTarget, climb_only, levelled, to_ned, towards
 from trimtab.firmware_model.law import step as law
 from trimtab.firmware_model.law.constants import GRAVITY
 from trimtab.firmware_model.law.ops import FLOAT
@@ -138,7 +138,8 @@ class Phases:
     def reference_state(self, now_us: int) -> ReferenceState:
         """Return the present reference, or the state of the vehicle while attitude is commanded.
 
-        In height that state has no acceleration, since thrust changes at once.
+        In height that state has no acceleration, since thrust changes at once, unless the vehicle brakes
+        already.
         """
         if not self.offboard.direct:
             reference = self.player.reference(now_us)
@@ -150,7 +151,10 @@ class Phases:
         thrust = self.thrust
         north, east = -R[2] * thrust, -R[5] * thrust
         share = min(1.0, START_ACCEL_MAX / max(math.hypot(north, east), 1e-9))
-        state = (*memory[law.EST_P], *memory[law.EST_V], share * north, share * east, 0.0, 0.0, 0.0, 0.0)
+        down = GRAVITY - R[8] * self.lagged_thrust * self._thrust_ratio()
+        if down * (memory[law.EST_V][2] + down * self._parameters["MOTOR_LAG"]) > 0.0:
+            down = 0.0
+        state = (*memory[law.EST_P], *memory[law.EST_V], share * north, share * east, down, *braking.ZERO)
         return state, (self._yaw(), 0.0)
 
     # Floor and take-off.
@@ -235,7 +239,8 @@ class Phases:
         target = offboard.target
         if not isinstance(target, PositionTarget):
             if target is not None:
-                offboard.command(target)
+                low = self._is_low(self._memory[law.EST_P])
+                offboard.command(levelled(target, self._yaw()) if low else target)
             return
         if target == offboard.followed and target.is_stationary:
             return
@@ -266,20 +271,23 @@ class Phases:
         )
         self.player.start(descent, now_us)
 
-    def descend_level(self, yaw: float, thrust_ratio: float, now_us: int) -> None:
-        """Descend with velocity feedback only, and after FS_BLIND_S without position or velocity feedback.
+    def descend_level(self, reference_state: ReferenceState, thrust_ratio: float, now_us: int) -> None:
+        """Stop and descend by velocity feedback only, after FS_BLIND_S without position or velocity feedback.
 
-        thrust_ratio: actual over nominal thrust, estimated while position was known. From a height the
-        vehicle first sinks faster, because dead reckoning gets worse with time.
+        reference_state: its acceleration and yaw continue. thrust_ratio: actual over nominal thrust,
+        estimated while position was known. From a height the vehicle first sinks faster, because dead
+        reckoning gets worse with time.
         """
         memory, values = self._memory, self._parameters
         blind_us = values.us("FS_BLIND_S")
+        node, (yaw, _) = reference_state
         descent = track.level_descent(
-            self._position(),
-            (memory[3], memory[4], memory[5]),
+            (*memory[law.EST_P], *memory[law.EST_V], *node[6:]),
             yaw,
             floor=self.floor,
             speed=values["FS_SINK_SPEED"],
+            brakes=self.envelope.brakes,
+            room=self._room(),
             damped_us=blind_us,
             end_us=blind_us + values.us("FS_BLIND_END_S"),
         )
@@ -312,7 +320,7 @@ class Phases:
     def _room(self) -> braking.Room:
         return self.offboard.room(self.floor)
 
-    def _is_low(self, node: braking.Node) -> bool:
+    def _is_low(self, node: Sequence[float]) -> bool:
         return self.floor - node[2] < CLEAR_HEIGHT
 
     def _position(self) -> braking.Vector:

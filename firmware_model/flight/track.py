@@ -15,14 +15,12 @@ from dataclasses import dataclass
 from itertools import pairwise
 
 from trimtab.firmware_model.flight.braking import (
-    QUINTIC_PEAK,
     ZERO,
     Brakes,
     Node,
     Room,
     Vector,
     braked,
-    coast,
     duration_s,
     node_at_rest,
     position_of,
@@ -49,8 +47,6 @@ SLOW_HEIGHT = 1.0
 """Height (m) above the floor from which a landing has its final speed."""
 CHANGE_US = 1_000_000
 """Time of a change of speed in a descent."""
-BRAKING = 5.0
-"""Deceleration (m/s^2) of a descent without position."""
 TURN_US = 500_000
 """Time in which a turn ends without a new command."""
 SINK = 1.5
@@ -215,19 +211,9 @@ def land(state: Node, yaw: YawState, *, floor: float, speed: float, brakes: Brak
     A vehicle at rest descends immediately, and from a height first at up to FAST_SPEED, down to SLOW_HEIGHT.
     The end of the track is the latest time for a touchdown; after it the motors stop.
     """
-    nodes = braked(state, brakes, room, still=0.05)
+    nodes = _stop_and_sink(state, floor=floor, speed=speed, brakes=brakes, room=room, latest_us=ENDLESS_US)
     t_us, last = nodes[-1]
     p = position_of(last)
-    fast = _fast(floor - p[2], speed)
-    if fast > speed:
-        p = _below(p, 0.5 * fast)
-        t_us += CHANGE_US
-        nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
-        t_us, p = _sink_fast(nodes, p, floor=floor, fast=fast, speed=speed, latest_us=ENDLESS_US)
-    else:
-        p = _below(p, 0.5 * speed)
-        t_us += CHANGE_US
-        nodes.append((t_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
     descent_us = seconds_us(max(1.0, (floor + 1.0 - p[2]) / speed))
     p = _below(p, speed * descent_us * 1e-6)
     nodes.append((t_us + descent_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
@@ -235,25 +221,26 @@ def land(state: Node, yaw: YawState, *, floor: float, speed: float, brakes: Brak
 
 
 def level_descent(
-    p: Vector, velocity: Vector, yaw: float, *, floor: float, speed: float, damped_us: int, end_us: int
+    state: Node,
+    yaw: float,
+    *,
+    floor: float,
+    speed: float,
+    brakes: Brakes,
+    room: Room,
+    damped_us: int,
+    end_us: int,
 ) -> Track:
-    """Return a vertical descent for a vehicle without position feedback.
+    """Return a stop and a vertical descent for a vehicle without position feedback.
 
-    The velocity changes from `velocity` to straight down within at least a second: from a height at up to
-    FAST_SPEED, down to SLOW_HEIGHT, then at `speed` until `damped_us`. In the next second thrust decreases by
-    SINK and is constant until `end_us`. This last part needs no velocity feedback.
+    It begins like `land`: as hard as the room needs, then from a height at up to FAST_SPEED, down to
+    SLOW_HEIGHT, then at `speed` until `damped_us`. In the next second thrust decreases by SINK and is
+    constant until `end_us`. This last part needs no velocity feedback.
     """
-    start: Node = (*p, *velocity, *ZERO, *ZERO)
-    fast = _fast(floor - p[2], speed)
-    if damped_us < _brake_us(velocity, fast) + CHANGE_US:
-        fast = speed
-    t_us = _brake_us(velocity, fast)
-    p = coast(start, (0.0, 0.0, fast), t_us * 1e-6)
-    nodes: list[tuple[int, Node]] = [(0, start), (t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO))]
-    if fast > speed:
-        t_us, p = _sink_fast(nodes, p, floor=floor, fast=fast, speed=speed, latest_us=damped_us)
+    nodes = _stop_and_sink(state, floor=floor, speed=speed, brakes=brakes, room=room, latest_us=damped_us)
+    t_us, last = nodes[-1]
     damped_us = max(damped_us, t_us + 100_000)
-    p2 = _below(p, speed * (damped_us - t_us) * 1e-6)
+    p2 = _below(position_of(last), speed * (damped_us - t_us) * 1e-6)
     p3 = _below(p2, speed + 0.15 * SINK)  # 3 s^2 - 2 s^3, integrated twice
     fall_us = damped_us + 1_000_000
     end_us = max(end_us, fall_us + 1_000_000)
@@ -268,6 +255,27 @@ def level_descent(
     return track(nodes, [(0, yaw, 0.0)])
 
 
+def _stop_and_sink(
+    state: Node, *, floor: float, speed: float, brakes: Brakes, room: Room, latest_us: int
+) -> list[tuple[int, Node]]:
+    """Return nodes of a stop and of a descent, to the point from which it sinks at `speed`.
+
+    That is SLOW_HEIGHT above the floor for a descent from a height, unless `latest_us` is earlier.
+    """
+    nodes = braked(state, brakes, room, still=0.05)
+    t_us, last = nodes[-1]
+    p = position_of(last)
+    fast = _fast(floor - p[2], speed)
+    if t_us + 2 * CHANGE_US > latest_us:
+        fast = speed
+    p = _below(p, 0.5 * fast)
+    t_us += CHANGE_US
+    nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
+    if fast > speed:
+        _sink_fast(nodes, p, floor=floor, fast=fast, speed=speed, latest_us=latest_us)
+    return nodes
+
+
 def _fast(height: float, speed: float) -> float:
     """Return the greatest speed of a descent from a height: a second to it, a second from it to `speed`."""
     return max(speed, min(FAST_SPEED, height - SLOW_HEIGHT - 0.5 * speed))
@@ -275,11 +283,8 @@ def _fast(height: float, speed: float) -> float:
 
 def _sink_fast(
     nodes: list[tuple[int, Node]], p: Vector, *, floor: float, fast: float, speed: float, latest_us: int
-) -> tuple[int, Vector]:
-    """Append nodes from `fast` at p to `speed` at SLOW_HEIGHT above the floor, or earlier at `latest_us`.
-
-    Returns time and position of the last node.
-    """
+) -> None:
+    """Append nodes from `fast` at p to `speed` at SLOW_HEIGHT above the floor, or earlier at `latest_us`."""
     t_us = nodes[-1][0]
     coast_us = seconds_us((floor - p[2] - SLOW_HEIGHT - 0.5 * (fast + speed)) / fast)
     coast_us = min(coast_us, latest_us - CHANGE_US - t_us)
@@ -287,15 +292,7 @@ def _sink_fast(
         t_us += coast_us
         p = _below(p, fast * coast_us * 1e-6)
         nodes.append((t_us, (*p, 0.0, 0.0, fast, *ZERO, *ZERO)))
-    t_us += CHANGE_US
-    p = _below(p, 0.5 * (fast + speed))
-    nodes.append((t_us, (*p, 0.0, 0.0, speed, *ZERO, *ZERO)))
-    return t_us, p
-
-
-def _brake_us(velocity: Vector, sinking: float) -> int:
-    """Return the time of a change from a velocity to a vertical descent without position."""
-    return seconds_us(max(1.0, QUINTIC_PEAK * math.dist(velocity, (0.0, 0.0, sinking)) / BRAKING))
+    nodes.append((t_us + CHANGE_US, (*_below(p, 0.5 * (fast + speed)), 0.0, 0.0, speed, *ZERO, *ZERO)))
 
 
 def _turning(yaw: float, rate: float) -> list[tuple[int, float, float]]:

@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from trimtab.firmware_model.flight.condition_monitor import FLOOR_HEIGHT
+from trimtab.firmware_model.flight.condition_monitor import CLEAR_HEIGHT, FLOOR_HEIGHT
 from trimtab.firmware_model.flight.failsafe import Action, Failsafe
 from trimtab.firmware_model.flight.setpoints import AttitudeTarget, PositionTarget
 from trimtab.firmware_model.flight.supervisor import Event, State
@@ -408,6 +408,42 @@ def test_rates_and_thrust_lift_off_and_hold_takes_over(make_rig):
     assert rig.flight.failsafe is Failsafe.NONE
 
 
+@pytest.mark.parametrize("kind", ["attitude", "rates"])
+def test_attitudes_and_rates_near_the_floor_are_flown_level(make_rig, kind):
+    """A tilt close above the floor had it slide along there at 4 m/s."""
+    rig = armed(make_rig(reference=False))
+    half = math.radians(30.0) / 2.0
+    target = AttitudeTarget(thrust=1.2 * HOVER, rate=(0.3, 0.0, 0.0))
+    if kind == "attitude":
+        q = (math.cos(half), math.sin(half), 0.0, 0.0)
+        target = AttitudeTarget(thrust=1.3 * HOVER, rate=(0.0, 0.0, 0.0), q=q)
+    checks = offboard(rig, target)
+    while rig.body.p[2] > -CLEAR_HEIGHT:
+        checks.stream(0.02, lambda t: target, hz=50)
+        assert math.degrees(math.acos(min(1.0, rig.body.R[2][2]))) < 3.0
+        assert rig.now_us < 5_000_000
+    checks.stream(0.4, lambda t: target, hz=50)
+    assert math.degrees(math.acos(rig.body.R[2][2])) > 5.0
+
+
+def test_landing_commanded_as_it_leaves_the_floor_does_not_hop(make_rig):
+    """The rotors had stopped 3 cm up in a climb at 1 m/s: it fell from 12 cm."""
+    rig = armed(make_rig(reference=False))
+    target = AttitudeTarget(thrust=1.0, rate=(0.0, 0.0, 0.0))
+    offboard(rig, target)
+    while rig.body.v[2] > -0.8:
+        rig.flight.setpoint(target, rig.now_us)
+        rig.run(0.01)
+    assert rig.body.p[2] > -FLOOR_HEIGHT
+    assert rig.flight.handle_event(Event.LAND, rig.now_us) is None
+    speed = 0.0
+    while rig.flight.state is State.LANDING:
+        speed = rig.body.v[2]
+        rig.run(0.01)
+    assert -FLOOR_HEIGHT < rig.body.p[2] <= 0.0
+    assert -0.1 < speed < 0.8  # 1.3 before
+
+
 def test_position_after_rates_that_did_not_lift_it_rises_without_a_dip(make_rig):
     rig = armed(make_rig(reference=False))
     low = AttitudeTarget(thrust=0.5 * HOVER, rate=(0.0, 0.0, 0.0))
@@ -511,9 +547,10 @@ def tipped_over(rig, height):
         rig.flight.setpoint(target, rig.now_us)
 
 
-def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
+@pytest.mark.parametrize("height", [3.0, 4.5, 5.5])
+def test_rates_that_tip_it_over_end_in_a_landing(make_rig, height):
     rig = make_rig(reference=False)
-    tipped_over(rig, 3.0)
+    tipped_over(rig, height)
     assert (rig.flight.state, rig.flight.failsafe) == (State.FAILSAFE, Failsafe.GEOFENCE)
     speeds = []
     while rig.flight.state is State.FAILSAFE:
@@ -523,8 +560,26 @@ def test_rates_that_tip_it_over_near_the_floor_end_in_a_landing(make_rig):
     assert speeds[-1] < 0.7
 
 
-def test_rates_that_tip_it_over_stop_the_motors(make_rig):
-    rig = make_rig(reference=False)
-    tipped_over(rig, 5.5)
+def test_rates_that_tip_it_over_far_from_fence_and_floor_stop_the_motors(make_rig):
+    walls = {f"FENCE_{axis}_{end}": sign * 50.0 for axis in "NE" for end, sign in (("MIN", -1), ("MAX", 1))}
+    rig = make_rig(reference=False, parameters={**walls, "FENCE_D_MIN": -60.0, "TAKEOFF_SPEED": 5.0})
+    tipped_over(rig, 25.0)
     assert (rig.flight.state, rig.flight.action) == (State.FAILSAFE, Action.MOTORS_OFF)
     assert max(rig.command) == 0.0
+
+
+@pytest.mark.parametrize(
+    ("v_down", "thrust"), [(0.01, 2.5), (-0.01, 2.5), (3.0, 2.5), (-3.0, 2.5), (-3.0, 0.3)]
+)
+def test_stop_after_attitudes_begins_with_the_acceleration_of_one_that_brakes(make_rig, v_down, thrust):
+    """Any other thrust changes at once."""
+    rig = make_rig(reference=False)
+    hovering(rig, 3.0)
+    offboard(rig, AttitudeTarget(thrust=HOVER, rate=(0.0, 0.0, 0.0)))
+    memory, phases = rig.flight._memory, rig.flight._phases
+    memory[law.EST_V.start + 2] = v_down
+    memory[law.OBSERVER_THRUST.start] = thrust * DEFAULTS["MASS"] * 9.81
+    node, _ = phases.reference_state(rig.now_us)
+    down = 9.81 * (1.0 - thrust)
+    brakes = down * (v_down + down * DEFAULTS["MOTOR_LAG"]) < 0.0
+    assert (node[5], node[8]) == (v_down, pytest.approx(down if brakes else 0.0, abs=0.5))
