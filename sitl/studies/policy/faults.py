@@ -120,9 +120,9 @@ class Cameras:
             place = (pose.x, pose.y, pose.z)
             q = list(pose.q)
             if self.frozen:
+                usable = self._last is None or height_m < REPEATED_M  # the first is still a true one
                 self._last = self._last or pose
                 place, q = (self._last.x, self._last.y, self._last.z), list(self._last.q)
-                usable = height_m < REPEATED_M
                 if math.dist(place, (pose.x, pose.y, pose.z)) > MISPLACED_M:
                     self.misplaced_us = now_us
             elif self.offset is not None:
