@@ -19,6 +19,7 @@ from trimtab.firmware_model.flight.envelope import (
 )
 from trimtab.firmware_model.flight.failsafe import CONDITIONS, Action, Condition, Failsafe
 from trimtab.firmware_model.flight.flight import AFTER_DIRECT_US, OFF_TRACK_M, UPDATE_TICKS
+from trimtab.firmware_model.flight.gate import POSES_IN_A_ROW
 from trimtab.firmware_model.flight.invariants import INVARIANTS, Invariant
 from trimtab.firmware_model.flight.phases import TAKEOFF_HEIGHT_MIN
 from trimtab.firmware_model.flight.readiness import (
@@ -88,6 +89,8 @@ _REFERENCE = """
   {force:g} m/s^2.
 - **Poses' vertical**: arming is refused if the vertical of the poses differs from the accelerometer's by
   over {askew}. Then the camera frame is not level, or the rigid body was defined on a slope.
+- **mocap**: at least {row} poses in a row must have arrived, the last within `FS_MOCAP_S`. A single pose may
+  be one of another source.
 - **Reference**: arming needs no reference, but warns if there is none. A start needs a reference that is at
   rest at its ends.
 - **Battery**: with a live reference on board, arming and start are refused below BAT_EMPTY_V + {cell:g} V a
@@ -149,11 +152,13 @@ of FS_OFFB_S. If no such path is gentle and stays inside, the vehicle first redu
 zero, or stops and then continues.
 
 With SET_ATTITUDE_TARGET no position is held. Rates stay within LIM_RATE_* and thrust above THRUST_FLOOR.
+A setpoint that arrives less than {clear:g} m above the floor is flown without tilt; yaw and thrust apply.
 Every 10 ms the vehicle predicts where a stop would end that began now, from its speed, its acceleration, and
-the thrust and tilt that are left. If that is more than `FS_FENCE_M` outside the fence, or on the floor at
-over {impact:g} m/s, it lands in place at once. The same prediction applies to a vehicle that is more than
-{off_track:g} m from its reference, and for {after:g} s after the last attitude to setpoints of position and
-velocity. A body rate that turns the vehicle over high above the floor still ends with the motors off (TILT).
+the thrust and tilt that are left. If that is outside the fence, or on the floor at over {impact:g} m/s, it
+lands in place at once. The same holds for {after:g} s after the last attitude for setpoints of position and
+velocity. The prediction also applies to a vehicle that is more than {off_track:g} m from its reference; there
+the stop may end `FS_FENCE_M` outside the fence. A body rate that turns the vehicle over far from fence and
+floor still ends with the motors off (TILT).
 
 A stop (hold, land, landing in place) brakes by LAND_DECEL, sideways and in height each in its own time. If it
 would lead through the fence or below `OFFB_HEIGHT`, the vehicle brakes harder: sideways up to a tilt of
@@ -201,6 +206,7 @@ def page() -> str:
             ),
             *(f"| {check.name} | {_text(check.text)} |\n" for check in CHECKS),
             _REFERENCE.format(
+                row=POSES_IN_A_ROW,
                 tilt=_default("ARM_TILT_DEG"),
                 rest=1e-6 * REST_US,
                 speed=REST_SPEED,
