@@ -175,8 +175,8 @@ _INVARIANTS = """
 The rows below are to hold for every sequence of commands, setpoints, uploads and faults, for parameters of
 limits, fence and failsafes within the ranges of `sitl/studies/policy/draws.py`, and with the vehicle's own
 data and gains as in its file. [A study](../studies/envelope.md#random-sequences) measures how often they do
-not: in 73 of 10,000 random sequences. Heights, distances and speeds are true ones, measured from outside.
-"None" means that no case is allowed.
+not: in none of 10,000 random sequences, at the commit that its page names. Heights, distances and speeds are
+true ones, measured from outside. "None" means that no case is allowed.
 
 | name | what holds | bound | when, and for what |
 |---|---|---|---|
