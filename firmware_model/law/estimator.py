@@ -83,11 +83,10 @@ def correct(  # noqa: PLR0913 (an equation of many variables)
     """Return the estimate corrected by a pose measured `age_s` ago; unchanged if `dt_s_since_last` is 0.
 
     Positions are compared at the time of the pose: p - v age + a age^2 / 2, exact for constant acceleration
-    within ACCELERATION_MAX.
-    Attitudes are compared now: the measured one is rotated forward by exp(rate age), and counts less if that
-    is much, see TURN_MAX. The signs of the
-    quaternions do not matter. The corrections of velocity and gyro bias also act on position and attitude
-    over `age_s`. The next prediction normalizes the quaternion.
+    within ACCELERATION_MAX. Attitudes are compared now: the measured one is rotated forward by exp(rate age),
+    and counts less if that is much, see TURN_MAX. The signs of the quaternions do not matter. The corrections
+    of velocity and gyro bias also act on position and attitude over `age_s`. The next prediction normalizes
+    the quaternion.
     """
     dt = ops.minimum(dt_s_since_last, INTERVAL_MAX_S)
     most, square = ACCELERATION_MAX**2, sum(a_i * a_i for a_i in accel_ned)
